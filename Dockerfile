@@ -1,0 +1,28 @@
+# The service in a container:
+#   docker build -t rosaline . && docker run --rm -p 8080:8080 -v rosaline:/var/lib/rosaline rosaline
+
+FROM rust:1.95-slim-trixie AS build
+RUN apt-get update && apt-get install --yes --no-install-recommends build-essential && rm -rf /var/lib/apt/lists/*
+WORKDIR /source
+COPY Cargo.toml Cargo.lock ./
+COPY src src
+COPY benches benches
+RUN --mount=type=cache,target=/usr/local/cargo/registry --mount=type=cache,target=/source/target \
+    cargo build --release --locked --bin rosaline && cp target/release/rosaline /rosaline
+
+FROM debian:trixie-slim
+RUN useradd --system --uid 10001 --no-create-home --shell /usr/sbin/nologin rosaline \
+    && install --directory --owner=rosaline --group=rosaline --mode=0700 /var/lib/rosaline
+COPY --from=build /rosaline /usr/local/bin/rosaline
+USER 10001
+# Reachable from outside of the container, which publishes the port or does not. The grace time ends before
+# Docker's own 10 s between SIGTERM and SIGKILL; raise both for long jobs.
+ENV ROSALINE_LISTEN=0.0.0.0:8080 \
+    ROSALINE_DATA=/var/lib/rosaline \
+    ROSALINE_GRACE=8s \
+    ROSALINE_LOG_FORMAT=json
+VOLUME /var/lib/rosaline
+EXPOSE 8080
+HEALTHCHECK --interval=10s --timeout=6s --start-period=30s CMD ["rosaline", "health"]
+ENTRYPOINT ["rosaline"]
+CMD ["serve"]

@@ -1,0 +1,84 @@
+//! Bulges: sacs and stumps too short to show a section of their own (an aneurysm's dome).
+//!
+//! Their line runs straight from the joint through the middle of the dome to its far wall.
+
+use nalgebra::{Matrix3, Matrix4, Point3, Unit, Vector3, Vector4};
+
+use crate::mesh::preparation::Surface;
+
+use super::track::{Sight, Station, Track};
+
+/// A branch whose clean sections reach less far than this (radii) is a bulge.
+const SHORT: f64 = 1.5;
+
+/// Turns the track of a bulge into a single station at the centre of the sphere through its wall.
+pub fn round_bulge(surface: &Surface, track: &mut Track, tip_first: bool) {
+    let clean: Vec<&Station> = track.stations.iter().filter(|s| s.sight == Sight::Clean).collect();
+    let length: f64 = clean.windows(2).map(|pair| (pair[1].point - pair[0].point).norm()).sum();
+    let widest = track.stations.iter().map(|s| s.section_radius).fold(0.0, f64::max);
+    if length >= SHORT * widest {
+        return;
+    }
+    let tip_ring = if tip_first { track.rings.first() } else { track.rings.last() };
+    let opens = |t: &u32| *t as usize >= surface.wall_triangles;
+    if tip_ring.is_some_and(|ring| ring.triangles.iter().all(opens)) {
+        // A stump with an opening: straight to it.
+        track.stations.retain(|s| s.sight == Sight::Clean);
+        return;
+    }
+    let points: Vec<Point3<f64>> = track.rings.iter().flat_map(|ring| ring.points.iter().copied()).collect();
+    let Some((centre, radius)) = sphere_through(&points) else { return };
+    let base = if tip_first { track.rings.last() } else { track.rings.first() };
+    let Some(base) = base else { return };
+    // A sphere much larger than the rings on it means that they lie flat: no dome.
+    if radius > 2.0 * base.radius().max(widest) {
+        return;
+    }
+    let outward = if tip_first { base.centroid - centre } else { centre - base.centroid };
+    let Some(tangent) = Unit::try_new(outward, 0.0) else { return };
+    let mut station = Station::rough(centre, tangent, radius, track.rings.len() / 2);
+    station.sight = Sight::Clean;
+    station.weight = Matrix3::identity();
+    track.stations = vec![station];
+    track.bulge = true;
+}
+
+/// Least squares sphere: centre and radius (algebraic fit, about the points' mean).
+fn sphere_through(points: &[Point3<f64>]) -> Option<(Point3<f64>, f64)> {
+    if points.len() < 8 {
+        return None;
+    }
+    let origin = points[0];
+    let mean = points.iter().map(|p| p - origin).sum::<Vector3<f64>>() / points.len() as f64;
+    let spread = points.iter().map(|p| (p - origin - mean).norm_squared()).sum::<f64>() / points.len() as f64;
+    let scale = spread.sqrt();
+    let mut normal = Matrix4::zeros();
+    let mut right = Vector4::zeros();
+    for p in points {
+        let d = (p - origin - mean) / scale;
+        let row = Vector4::new(2.0 * d.x, 2.0 * d.y, 2.0 * d.z, 1.0);
+        normal += row * row.transpose();
+        right += row * d.norm_squared();
+    }
+    let solved = normal.try_inverse()? * right;
+    let centre = solved.xyz();
+    let radius = (solved.w + centre.norm_squared()).max(0.0).sqrt();
+    (radius.is_finite() && radius > 0.0).then(|| (origin + mean + centre * scale, radius * scale))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_on_a_dome_give_its_sphere() {
+        let on = |i: usize| {
+            let (a, z) = (0.7 * i as f64, 0.02 * i as f64);
+            let flat = (1.0 - z * z).sqrt();
+            Point3::new(5.0 + 2.0 * flat * a.cos(), 2.0 * flat * a.sin(), 2.0 * z)
+        };
+        let points: Vec<_> = (0..45).map(on).collect();
+        let (centre, radius) = sphere_through(&points).unwrap();
+        assert!((centre - Point3::new(5.0, 0.0, 0.0)).norm() < 1e-9 && (radius - 2.0).abs() < 1e-9);
+    }
+}

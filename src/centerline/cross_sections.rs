@@ -1,0 +1,274 @@
+//! Optimal cut planes and centerline points of the preset `default` (section IV.B).
+//!
+//! The plane is perpendicular to the line itself and the point is the centroid of the closed section,
+//! in turns until both agree: far less noisy than one plane a vertex, and exact for any tube of
+//! symmetric section.
+
+use nalgebra::{Matrix3, Point2, Point3};
+
+use crate::mesh::preparation::Surface;
+
+use super::curve_fit::{CurveEnd, Stiffness, fit_curve};
+use super::level_sets::LevelSet;
+use super::section::{Frame, Profile, Section};
+use super::track::{SPACING, Sight, Station, Track, section_from_rings, update_tangents};
+use super::wall_fit::{accept_clean, judge, judge_end};
+
+/// Rounds of cutting and moving before sections are judged.
+const SETTLING: usize = 3;
+/// Light smoothing between the rounds.
+const LIGHT: Stiffness = Stiffness { third: 1.0, second: 0.02 };
+/// A section rounder than this (largest over smallest distance) may be the first to be trusted.
+const ROUND: f64 = 1.6;
+
+/// The rings nearest to the one of number `hint`, itself first.
+pub fn rings_near(rings: &[LevelSet], hint: usize) -> impl Iterator<Item = &LevelSet> {
+    const SPREAD: usize = 4;
+    let n = rings.len();
+    let below = move |k: usize| hint.checked_sub(k).filter(|&i| i < n);
+    let above = move |k: usize| Some(hint + k).filter(|&i| i < n);
+    (0..=SPREAD)
+        .flat_map(move |k| [below(k), if k == 0 { None } else { above(k) }])
+        .flatten()
+        .map(|i| &rings[i])
+}
+
+/// Number of the ring whose centre is nearest to a point.
+fn nearest_ring(rings: &[LevelSet], point: &Point3<f64>) -> usize {
+    let distance = |ring: &LevelSet| (ring.centroid - point).norm_squared();
+    (0..rings.len()).min_by(|&a, &b| distance(&rings[a]).total_cmp(&distance(&rings[b]))).unwrap_or(0)
+}
+
+/// Moves the stations to the centroids of their sections, a few rounds, and notes radii and profiles.
+pub fn settle(surface: &Surface, track: &mut Track) {
+    let Track { rings, stations, .. } = track;
+    for _ in 0..SETTLING {
+        for station in stations.iter_mut() {
+            let frame = Frame::new(station.point, station.tangent, station.frame.u);
+            let Some(cut) = section_from_rings(surface, frame, rings_near(rings, station.ring)) else {
+                continue;
+            };
+            let measure = cut.measure();
+            station.sight = Sight::Lost;
+            if cut.encloses(&measure.centroid) && measure.radius() < 1.8 * rings[station.ring].radius() {
+                accept_clean(surface, station, &cut, measure.centroid, measure.radius());
+            }
+        }
+        let targets: Vec<_> = stations.iter().map(|s| s.target).collect();
+        let weights: Vec<_> = stations
+            .iter()
+            .map(|s| if s.sight == Sight::Clean { Matrix3::identity() } else { Matrix3::identity() * 0.1 })
+            .collect();
+        let even: Vec<f64> = (0..stations.len()).map(|i| i as f64).collect();
+        for (station, point) in stations.iter_mut().zip(fit_curve(&targets, &weights, &even, LIGHT)) {
+            station.point = point;
+        }
+        update_tangents(stations);
+    }
+}
+
+/// The station whose section is most surely this branch alone, and whether it is round enough to trust.
+fn reference(stations: &[Station]) -> Option<(usize, bool)> {
+    let n = stations.len();
+    let roundness = |s: &Station| s.profile.roundness();
+    let score = |i: usize| {
+        let station = &stations[i];
+        let neighbours = [i.saturating_sub(1), (i + 1).min(n - 1)];
+        let jump = neighbours.map(|j| (stations[j].section_radius / station.section_radius).ln().abs());
+        let off_middle = (i as f64 + 0.5 - 0.5 * n as f64).abs() / n as f64;
+        roundness(station) + 2.0 * jump[0].max(jump[1]) + off_middle
+    };
+    let candidates = (0..n).filter(|&i| stations[i].sight == Sight::Clean);
+    let best = candidates.min_by(|&a, &b| score(a).total_cmp(&score(b)))?;
+    Some((best, roundness(&stations[best]) < ROUND))
+}
+
+/// Judges every station outward from the surest one and drops what lies beyond the last clean ones.
+///
+/// Returns whether any section was surely this branch alone.
+pub fn judge_outward(surface: &Surface, track: &mut Track) -> bool {
+    let Some((middle, trusted)) = reference(&track.stations) else {
+        keep_ring_centres(&mut track.stations);
+        return false;
+    };
+    let Track { rings, stations, .. } = track;
+    for station in stations.iter_mut().enumerate().filter(|(i, _)| *i != middle).map(|(_, s)| s) {
+        station.sight = Sight::Lost;
+        station.weight = Matrix3::zeros();
+    }
+    let n = stations.len();
+    let inner = inner_stations(stations);
+    let outward: [Vec<usize>; 2] = [(middle + 1..n).collect(), (0..middle).rev().collect()];
+    for way in outward {
+        judge_way(surface, rings, stations, middle, &way, &inner);
+    }
+    let last = last_own(stations[middle..].iter()) + middle;
+    let first = middle - last_own(stations[..=middle].iter().rev());
+    stations.truncate(last + 1);
+    stations.drain(..first);
+    for station in stations.iter_mut() {
+        if station.sight != Sight::Lost {
+            station.point = station.target;
+        }
+    }
+    update_tangents(stations);
+    trusted
+}
+
+/// Judges the stations of one way outward from `middle`, each by the wall of those before it.
+fn judge_way(
+    surface: &Surface,
+    rings: &[LevelSet],
+    stations: &mut [Station],
+    middle: usize,
+    way: &[usize],
+    inner: &[bool],
+) {
+    /// After so many sections in a row that disagree, the vessel itself has changed.
+    const PATIENCE: usize = 3;
+    let mut before = middle;
+    let mut expected = stations[middle].profile.clone();
+    let mut misses = 0;
+    for &i in way {
+        let like = stations[before].frame.u;
+        let frame = Frame::new(stations[i].point, stations[i].tangent, like);
+        before = i;
+        stations[i].frame = frame;
+        let Some(cut) = section_from_rings(surface, frame, rings_near(rings, stations[i].ring)) else {
+            continue;
+        };
+        judge(surface, &mut stations[i], &cut, &expected);
+        if stations[i].sight != Sight::Clean && inner[i] && is_one_vessel(&cut, &expected) {
+            let own = Profile::circle(cut.measure().radius());
+            let expected = if misses < PATIENCE { &expected } else { &own };
+            judge_end(surface, &mut stations[i], &cut, expected);
+        }
+        if stations[i].sight == Sight::Clean {
+            expected.blend(&stations[i].profile, if misses < PATIENCE { 0.5 } else { 1.0 });
+            misses = 0;
+        } else {
+            misses += 1;
+        }
+    }
+}
+
+/// Whether a section is no figure of two vessels side by side: those are larger than what was expected,
+/// and long.
+fn is_one_vessel(cut: &Section, expected: &Profile) -> bool {
+    const GROWTH: f64 = 1.12;
+    let measure = cut.measure();
+    let round = || Profile::of(cut, &measure.centroid, measure.radius()).roundness() < ROUND;
+    measure.radius() < GROWTH * expected.mean() || round()
+}
+
+/// The stations so far from both ends that no joint reaches them: their sections are the branch's own,
+/// however the vessel changes there.
+fn inner_stations(stations: &[Station]) -> Vec<bool> {
+    /// Reach of a joint, in radii.
+    const JOINT: f64 = 3.0;
+    let mut along = vec![0.0];
+    for pair in stations.windows(2) {
+        along.push(along[along.len() - 1] + (pair[1].point - pair[0].point).norm());
+    }
+    let total = along[along.len() - 1];
+    let inner = |(station, s): (&Station, &f64)| s.min(total - s) > JOINT * station.section_radius;
+    stations.iter().zip(&along).map(inner).collect()
+}
+
+/// How far outward, from a clean first station, the stations are the branch's own. After a gap a run of
+/// clean sections counts only if it is long: a short one belongs to the vessel beyond the joint.
+fn last_own<'a>(outward: impl Iterator<Item = &'a Station>) -> usize {
+    const LONG: usize = 6;
+    let (mut last, mut run) = (0, 0);
+    for (i, station) in outward.enumerate() {
+        run = if station.sight == Sight::Clean { run + 1 } else { 0 };
+        if run >= LONG || (run > 0 && last + 1 == i) || i == 0 {
+            last = i;
+        }
+    }
+    last
+}
+
+/// Without any section of their own, stations keep their rings' centres, loosely.
+fn keep_ring_centres(stations: &mut [Station]) {
+    for station in stations {
+        station.sight = Sight::Partial;
+        station.target = station.point;
+        station.weight = Matrix3::identity() * 0.2;
+    }
+}
+
+/// Walks on from the last station while sections stay clean: toward a cap (`to_end`) or into a joint.
+pub fn march(surface: &Surface, track: &mut Track, to_end: bool) {
+    const LIMIT: usize = 400;
+    let mut step = SPACING;
+    for _ in 0..LIMIT {
+        let points: Vec<_> = track.stations.iter().map(|s| s.point).collect();
+        let Some(last) = track.stations.last() else { return };
+        let radius = last.section_radius;
+        let end = CurveEnd::of(&points, 3.0 * radius);
+        let end = end.unwrap_or(CurveEnd {
+            point: last.point,
+            tangent: *last.tangent,
+            curvature: nalgebra::zero(),
+        });
+        let (point, direction) = end.at(step * radius);
+        let tangent = nalgebra::Unit::new_normalize(direction);
+        let frame = Frame::new(point, tangent, last.frame.u);
+        let mut station = Station::rough(point, tangent, radius, nearest_ring(&track.rings, &point));
+        station.frame = frame;
+        let cut = section_from_rings(surface, frame, rings_near(&track.rings, station.ring));
+        let profile: Profile = last.profile.clone();
+        if let Some(cut) = cut
+            && cut.encloses(&Point2::origin())
+        {
+            if to_end {
+                judge_end(surface, &mut station, &cut, &profile);
+            } else {
+                judge(surface, &mut station, &cut, &profile);
+            }
+        }
+        if station.sight == Sight::Clean && (station.target - point).norm() < 0.5 * radius {
+            station.point = station.target;
+            track.stations.push(station);
+        } else if step > 0.15 {
+            step *= 0.5;
+        } else {
+            break;
+        }
+    }
+    update_tangents(&mut track.stations);
+}
+
+/// Cuts the clean stations anew after the line moved, each expecting its own wall.
+pub fn recut(surface: &Surface, track: &mut Track) {
+    let Track { rings, stations, .. } = track;
+    for station in stations.iter_mut().filter(|s| s.sight == Sight::Clean) {
+        let frame = Frame::new(station.point, station.tangent, station.frame.u);
+        let Some(cut) = section_from_rings(surface, frame, rings_near(rings, station.ring)) else { continue };
+        let before = station.clone();
+        let expected = station.profile.clone();
+        judge(surface, station, &cut, &expected);
+        if station.sight != Sight::Clean {
+            *station = before;
+        }
+    }
+}
+
+impl Track {
+    /// The same branch, told from its other end.
+    pub fn reverse(&mut self) {
+        std::mem::swap(&mut self.from, &mut self.to);
+        self.rings.reverse();
+        self.stations.reverse();
+        for station in &mut self.stations {
+            station.tangent = -station.tangent;
+            // Keep the frame right-handed about the new direction: u stays, v turns with t.
+            station.frame.t = -station.frame.t;
+            station.frame.v = -station.frame.v;
+            station.profile.mirror();
+            station.shape.mirror();
+            station.ring = self.rings.len().saturating_sub(1 + station.ring);
+        }
+    }
+}

@@ -1,0 +1,211 @@
+//! A smooth curve near given points: least squares with a penalty on its third differences
+//! (Whittaker 1923; Eilers, *A perfect smoother*, 2003), on uneven spacing.
+//!
+//! It does the work of the paper's Laplacian smoothing and thinning (IV.C) for the preset `default`:
+//! a straight or evenly bent line is left where it is, so nothing shrinks toward the inside of bends.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+/// Half bandwidth of the normal equations: four points take part in a third difference.
+const BAND: usize = 11;
+
+/// How stiff the curve is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stiffness {
+    /// Weight of the squared third differences, against a point of weight 1 at mean spacing.
+    pub third: f64,
+    /// Weight of the squared second differences: keeps unsupported stretches from swinging out.
+    pub second: f64,
+}
+
+/// Moves `targets` onto the smoothest curve that respects their `weights` (3 x 3, identity: firm).
+///
+/// `abscissa` ascends strictly. Points with a huge weight stay. O(n).
+pub fn fit_curve(
+    targets: &[Point3<f64>],
+    weights: &[Matrix3<f64>],
+    abscissa: &[f64],
+    stiffness: Stiffness,
+) -> Vec<Point3<f64>> {
+    let n = targets.len();
+    if n < 3 {
+        return targets.to_vec();
+    }
+    let mut system = Banded::new(3 * n);
+    let origin = targets[0];
+    let mut right = vec![0.0; 3 * n];
+    for i in 0..n {
+        let pull = weights[i] * (targets[i] - origin);
+        for row in 0..3 {
+            right[3 * i + row] = pull[row];
+            for column in 0..=row {
+                system.add(3 * i + row, 3 * i + column, weights[i][(row, column)]);
+            }
+        }
+    }
+    penalise::<3>(&mut system, abscissa, stiffness.second);
+    penalise::<4>(&mut system, abscissa, stiffness.third);
+    // Holds directions that nothing else pins.
+    for i in 0..3 * n {
+        system.add(i, i, 1e-9);
+        right[i] += 1e-9 * (targets[i / 3] - origin)[i % 3];
+    }
+    system.solve(&mut right);
+    right.chunks_exact(3).map(|p| origin + Vector3::new(p[0], p[1], p[2])).collect()
+}
+
+/// Adds the squares of the divided differences over `POINTS` neighbours, scaled so that on even
+/// spacing they are the plain differences (1, -2, 1 and -1, 3, -3, 1).
+fn penalise<const POINTS: usize>(system: &mut Banded, abscissa: &[f64], weight: f64) {
+    let order = POINTS - 1;
+    let factorial: f64 = (1..=order).map(|k| k as f64).product();
+    for start in 0..abscissa.len().saturating_sub(order) {
+        let s: [f64; POINTS] = std::array::from_fn(|i| abscissa[start + i]);
+        let step = (s[order] - s[0]) / order as f64;
+        let coefficient: [f64; POINTS] = std::array::from_fn(|i| {
+            let product: f64 = (0..POINTS).filter(|&j| j != i).map(|j| s[i] - s[j]).product();
+            factorial * step.powi(order as i32) / product
+        });
+        for i in 0..POINTS {
+            for j in 0..=i {
+                let value = weight * coefficient[i] * coefficient[j];
+                for axis in 0..3 {
+                    system.add(3 * (start + i) + axis, 3 * (start + j) + axis, value);
+                }
+            }
+        }
+    }
+}
+
+/// A symmetric positive definite band matrix, lower half by rows.
+struct Banded {
+    rows: Vec<[f64; BAND + 1]>,
+}
+
+impl Banded {
+    fn new(n: usize) -> Self {
+        Self { rows: vec![[0.0; BAND + 1]; n] }
+    }
+
+    /// Adds to entry (`row`, `column`), `column <= row`.
+    fn add(&mut self, row: usize, column: usize, value: f64) {
+        self.rows[row][BAND + column - row] += value;
+    }
+
+    /// Cholesky factorisation and both substitutions, in place.
+    fn solve(mut self, right: &mut [f64]) {
+        let n = self.rows.len();
+        for i in 0..n {
+            let first = i.saturating_sub(BAND);
+            for j in first..=i {
+                let shared = j.saturating_sub(BAND).max(first);
+                let mut sum = self.rows[i][BAND + j - i];
+                for k in shared..j {
+                    sum -= self.rows[i][BAND + k - i] * self.rows[j][BAND + k - j];
+                }
+                self.rows[i][BAND + j - i] =
+                    if i == j { sum.max(f64::MIN_POSITIVE).sqrt() } else { sum / self.rows[j][BAND] };
+            }
+        }
+        for i in 0..n {
+            for k in i.saturating_sub(BAND)..i {
+                right[i] -= self.rows[i][BAND + k - i] * right[k];
+            }
+            right[i] /= self.rows[i][BAND];
+        }
+        for i in (0..n).rev() {
+            for k in i + 1..(i + BAND + 1).min(n) {
+                right[i] -= self.rows[k][BAND + i - k] * right[k];
+            }
+            right[i] /= self.rows[i][BAND];
+        }
+    }
+}
+
+/// Position, unit tangent and curvature vector at the end of a run of points.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CurveEnd {
+    pub point: Point3<f64>,
+    pub tangent: Vector3<f64>,
+    pub curvature: Vector3<f64>,
+}
+
+impl CurveEnd {
+    /// Least squares parabola through the last of `points` (weights ascending to the end); a line for
+    /// fewer than five. `reach` bounds how far back, along the curve.
+    pub fn of(points: &[Point3<f64>], reach: f64) -> Option<Self> {
+        let (&end, rest) = points.split_last()?;
+        let mut run = vec![(0.0, Vector3::zeros())];
+        let (mut back, mut previous) = (0.0, end);
+        for &p in rest.iter().rev() {
+            back -= (p - previous).norm();
+            previous = p;
+            run.push((back, p - end));
+            if -back > reach && run.len() >= 3 {
+                break;
+            }
+        }
+        if run.len() < 2 || back == 0.0 {
+            return None;
+        }
+        let quadratic = if run.len() >= 5 { 1.0 } else { 0.0 };
+        let mut normal = Matrix3::zeros();
+        let mut right = Matrix3::zeros();
+        for (s, d) in &run {
+            let x = s / -back;
+            let basis = Vector3::new(1.0, x, quadratic * 0.5 * x * x);
+            normal += basis * basis.transpose();
+            right += basis * d.transpose();
+        }
+        normal[(2, 2)] += 1.0 - quadratic + 1e-6;
+        let solved = normal.try_inverse()? * right;
+        let slope: Vector3<f64> = solved.row(1).transpose() / -back;
+        let tangent = slope.try_normalize(0.0)?;
+        let bend: Vector3<f64> = solved.row(2).transpose() / (back * back);
+        let curvature = bend - tangent * tangent.dot(&bend);
+        let offset: Vector3<f64> = solved.row(0).transpose();
+        Some(Self { point: end + offset, tangent, curvature })
+    }
+
+    /// The curve continued by `s`, with its direction there.
+    pub fn at(&self, s: f64) -> (Point3<f64>, Vector3<f64>) {
+        let direction = (self.tangent + self.curvature * s).normalize();
+        (self.point + self.tangent * s + self.curvature * (0.5 * s * s), direction)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STIFF: Stiffness = Stiffness { third: 200.0, second: 0.01 };
+
+    #[test]
+    fn a_parabola_is_left_alone_and_noise_is_not() {
+        let abscissa: Vec<f64> = (0..60).map(|i| f64::from(i) + 0.3 * f64::from(i % 3)).collect();
+        let on = |s: f64| Point3::new(s, 0.01 * s * s, -0.005 * s * s);
+        let clean: Vec<_> = abscissa.iter().map(|&s| on(s)).collect();
+        let weights = vec![Matrix3::identity(); 60];
+        let pure = Stiffness { second: 0.0, ..STIFF };
+        for (p, q) in clean.iter().zip(fit_curve(&clean, &weights, &abscissa, pure)) {
+            assert!((p - q).norm() < 1e-6, "{p} moved to {q}");
+        }
+        let sign = |i: usize| if i.is_multiple_of(2) { 0.1 } else { -0.1 };
+        let noisy: Vec<_> = clean.iter().enumerate().map(|(i, p)| p + Vector3::y() * sign(i)).collect();
+        let fitted = fit_curve(&noisy, &weights, &abscissa, pure);
+        let worst = fitted.iter().zip(&clean).map(|(p, q)| (p - q).norm()).fold(0.0, f64::max);
+        assert!(worst < 0.04, "noise of 0.1 is left at {worst}");
+    }
+
+    #[test]
+    fn the_end_of_a_circle_continues_on_it() {
+        let points: Vec<_> = (0..=20)
+            .map(|i| 0.02 * f64::from(i))
+            .map(|a: f64| Point3::new(10.0 * a.sin(), 10.0 * a.cos(), 0.0))
+            .collect();
+        let end = CurveEnd::of(&points, 3.0).unwrap();
+        let (ahead, _) = end.at(2.0);
+        assert!((ahead.coords.norm() - 10.0).abs() < 0.02, "{ahead}");
+        assert!((end.curvature.norm() - 0.1).abs() < 0.01);
+    }
+}

@@ -1,0 +1,86 @@
+//! Ends: the line reaches the middle of the cap, of the opening or of a dome's far wall.
+
+use nalgebra::{Point3, Vector3};
+
+use crate::mesh::preparation::Surface;
+
+use super::curve_fit::CurveEnd;
+use super::track::Track;
+
+/// Where the line of a track, continued past its last station, meets the surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EndPoint {
+    pub point: Point3<f64>,
+    /// Radius to report there, continued from the last sections.
+    pub radius: f64,
+}
+
+/// The end point of `track` past its last station; `tip` is the Reeb leaf's vertex: the centre of an
+/// opening, or what is used where the continued line meets no wall nearby.
+///
+/// O(triangles).
+pub fn end_point(surface: &Surface, track: &Track, tip: u32) -> EndPoint {
+    let tip_point = surface.mesh.vertices[tip as usize];
+    let opening = surface.openings.iter().find(|opening| opening.centre == tip);
+    let Some(last) = track.stations.last() else {
+        let radius = opening.map_or(0.0, |opening| opening.radius);
+        return EndPoint { point: tip_point, radius };
+    };
+    if opening.is_some() {
+        let distance = (tip_point - last.point).norm();
+        return EndPoint { point: tip_point, radius: continued_radius(track, distance) };
+    }
+    let points: Vec<Point3<f64>> = track.stations.iter().map(|s| s.point).collect();
+    let reach = 3.0 * last.section_radius;
+    let line = CurveEnd::of(&points, reach);
+    let line =
+        line.unwrap_or(CurveEnd { point: last.point, tangent: *last.tangent, curvature: nalgebra::zero() });
+    let hit = first_hit(surface, &last.point, &line.tangent).map(|(distance, _)| distance);
+    let near = hit.filter(|distance| *distance < 4.0 * last.section_radius);
+    let to_tip = (tip_point - last.point).dot(&line.tangent).max(0.1 * last.section_radius);
+    let distance = near.unwrap_or(to_tip);
+    EndPoint { point: last.point + line.tangent * distance, radius: continued_radius(track, distance) }
+}
+
+/// The far wall of a bulge, seen from its joint through its middle.
+pub fn far_wall(surface: &Surface, track: &Track, joint: &Point3<f64>) -> Option<EndPoint> {
+    let middle = track.stations.first()?;
+    let direction = (middle.point - joint).try_normalize(0.0)?;
+    let (distance, _) = first_hit(surface, &middle.point, &direction)?;
+    let distance = distance.min(2.0 * middle.section_radius);
+    Some(EndPoint { point: middle.point + direction * distance, radius: 0.05 * middle.radius })
+}
+
+/// Radius continued by `distance` from the slope over the last radius of length, never below a
+/// twentieth of the last.
+fn continued_radius(track: &Track, distance: f64) -> f64 {
+    let Some(last) = track.stations.last() else { return 0.0 };
+    let before = track.stations.iter().rev().find(|s| (s.point - last.point).norm() > last.section_radius);
+    let slope = before.map_or(0.0, |s| (last.radius - s.radius) / (last.point - s.point).norm());
+    (last.radius + slope * distance).clamp(0.05 * last.radius, 1.5 * last.radius)
+}
+
+/// Nearest crossing of a ray from inside with a triangle that faces away from it (Moller and Trumbore 1997).
+fn first_hit(surface: &Surface, origin: &Point3<f64>, direction: &Vector3<f64>) -> Option<(f64, u32)> {
+    let mut best: Option<(f64, u32)> = None;
+    for (t, corners) in surface.mesh.triangles.iter().enumerate() {
+        let [a, b, c] = corners.map(|v| surface.mesh.vertices[v as usize]);
+        let (e1, e2) = (b - a, c - a);
+        let p = direction.cross(&e2);
+        let determinant = e1.dot(&p);
+        // Outward normals point along the ray where it leaves the lumen: the determinant is negative.
+        if determinant >= 0.0 {
+            continue;
+        }
+        let s = origin - a;
+        let u = s.dot(&p) / determinant;
+        let q = s.cross(&e1);
+        let v = direction.dot(&q) / determinant;
+        let distance = e2.dot(&q) / determinant;
+        let inside = u >= 0.0 && v >= 0.0 && u + v <= 1.0;
+        if inside && distance > 0.0 && best.is_none_or(|(nearest, _)| distance < nearest) {
+            best = Some((distance, t as u32));
+        }
+    }
+    best
+}

@@ -1,0 +1,34 @@
+//! Why a surface has no centerline.
+
+/// Each variant says what was found and what to do.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ExtractError {
+    #[error("the mesh has no triangles; send a surface, not a point cloud or a line set")]
+    NoTriangles,
+    #[error("all {triangles} triangles have no area; check the unit and the exporter of the mesh")]
+    AllDegenerate { triangles: usize },
+    #[error(
+        "the surface is a closed blob without ends or loops ({detail}); a centerline needs a tubular surface"
+    )]
+    NotTubular { detail: String },
+    #[error("the surface is undersampled past use: {detail}; re-mesh it with shorter edges")]
+    Undersampled { detail: String },
+    #[error("the surface cannot be made a closed manifold: {detail}; repair the mesh before sending it")]
+    NotManifold { detail: String },
+    #[error("the extraction was cancelled")]
+    Cancelled,
+}
+
+impl ExtractError {
+    /// A stable word for logs and API problem types.
+    pub fn code(&self) -> &'static str {
+        match self {
+            ExtractError::NoTriangles => "no-triangles",
+            ExtractError::AllDegenerate { .. } => "all-degenerate",
+            ExtractError::NotTubular { .. } => "not-tubular",
+            ExtractError::Undersampled { .. } => "undersampled",
+            ExtractError::NotManifold { .. } => "not-manifold",
+            ExtractError::Cancelled => "cancelled",
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! Geodesic distance over the mesh's edges (section IV.A: the shortest path on the weighted graph
+//! of the mesh, edges weighted by their Euclidean length).
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use nalgebra::Point3;
+
+use crate::mesh::corner_table::CornerTable;
+use crate::mesh::preparation::Opening;
+
+use super::{CancelToken, ExtractError};
+
+/// Distances from a source, and the order in which the vertices were reached.
+#[derive(Debug, Clone, Default)]
+pub struct Geodesic {
+    /// Per vertex, in the input's unit; infinite where there is no path.
+    pub distance: Vec<f64>,
+    /// The vertices reached, by ascending distance; each after its predecessor on the path.
+    pub order: Vec<u32>,
+}
+
+/// The mesh's edges as a graph: neighbours and edge lengths in compressed rows.
+#[derive(Debug, Clone, Default)]
+pub struct EdgeGraph {
+    start: Vec<u32>,
+    links: Vec<(u32, f32)>,
+}
+
+impl EdgeGraph {
+    /// The edges of a closed surface. O(n).
+    pub fn new(vertices: &[Point3<f64>], corners: &CornerTable) -> Self {
+        let mut start = Vec::with_capacity(vertices.len() + 1);
+        let mut links = Vec::with_capacity(corners.half_edges());
+        start.push(0);
+        for v in 0..vertices.len() as u32 {
+            for u in corners.neighbours(v) {
+                let length = (vertices[u as usize] - vertices[v as usize]).norm();
+                links.push((u, length as f32));
+            }
+            start.push(links.len() as u32);
+        }
+        Self { start, links }
+    }
+
+    /// Shortens the edges inside a marked region a thousandfold: a distance from any of its vertices
+    /// becomes one from all of them, and still rises from a single lowest vertex.
+    pub fn shrink(&mut self, region: &[bool]) {
+        for v in 0..self.vertices() {
+            if region[v] {
+                for link in &mut self.links[self.start[v] as usize..self.start[v + 1] as usize] {
+                    if region[link.0 as usize] {
+                        link.1 *= 1e-3;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Makes each opening's centre a far tip: no path crosses an opening, and a branch ends in it
+    /// however shortly it was cut.
+    pub fn raise(&mut self, openings: &[Opening]) {
+        for opening in openings {
+            let rise = (4.0 * opening.radius) as f32;
+            for &v in opening.rim.iter().chain([&opening.centre]) {
+                let row = self.start[v as usize] as usize..self.start[v as usize + 1] as usize;
+                for link in &mut self.links[row] {
+                    if v == opening.centre || link.0 == opening.centre {
+                        link.1 += rise;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Neighbours of `v` with the edges' lengths, in cyclic order.
+    #[inline]
+    pub fn neighbours(&self, v: u32) -> &[(u32, f32)] {
+        &self.links[self.start[v as usize] as usize..self.start[v as usize + 1] as usize]
+    }
+
+    pub fn vertices(&self) -> usize {
+        self.start.len().saturating_sub(1)
+    }
+}
+
+/// Dijkstra's algorithm from `sources`. O(n log n).
+///
+/// # Errors
+/// [`ExtractError::Cancelled`].
+pub fn geodesic(graph: &EdgeGraph, sources: &[u32], cancel: &CancelToken) -> Result<Geodesic, ExtractError> {
+    let mut distance = vec![f64::INFINITY; graph.vertices()];
+    let mut order = Vec::with_capacity(graph.vertices());
+    // Non-negative doubles sort like their bits; the vertex number breaks ties.
+    let mut heap: BinaryHeap<Reverse<(u64, u32)>> = BinaryHeap::new();
+    for &source in sources {
+        if distance[source as usize] > 0.0 {
+            distance[source as usize] = 0.0;
+            heap.push(Reverse((0, source)));
+        }
+    }
+    while let Some(Reverse((bits, v))) = heap.pop() {
+        let reached = f64::from_bits(bits);
+        if reached > distance[v as usize] {
+            continue;
+        }
+        order.push(v);
+        if order.len().is_multiple_of(8192) {
+            cancel.check()?;
+        }
+        for &(u, length) in graph.neighbours(v) {
+            let through = reached + f64::from(length);
+            if through < distance[u as usize] {
+                distance[u as usize] = through;
+                heap.push(Reverse((through.to_bits(), u)));
+            }
+        }
+    }
+    Ok(Geodesic { distance, order })
+}

@@ -1,0 +1,178 @@
+//! The method: a mesh and parameters in, a centerline or a typed error out.
+//!
+//! No I/O, no clock, no global state. The caller's rayon pool is used.
+
+mod bulges;
+mod component;
+mod connection;
+mod control;
+mod covariance;
+mod critical_points;
+mod cross_sections;
+mod curve_fit;
+mod cut_plane;
+mod ends;
+mod error;
+mod geodesic;
+mod graph;
+mod joint_collapse;
+mod joints;
+mod laplacian_smoothing;
+mod level_sets;
+mod linearity;
+mod network;
+mod normal_lines;
+mod parameters;
+mod point_cloud;
+mod point_grid;
+mod preset_default;
+mod preset_paper;
+mod recentering;
+mod reeb;
+mod root;
+mod section;
+mod segmentation;
+#[cfg(test)]
+mod shapes;
+mod smoothing_filter;
+mod subsampling;
+#[cfg(test)]
+mod test_surfaces;
+mod thinning;
+mod tips;
+mod track;
+mod wall_fit;
+mod wall_shape;
+mod xie_beni;
+
+pub use control::{CancelToken, Control, Progress, Stage};
+pub use error::ExtractError;
+pub use graph::{Branch, Centerline, Extraction, Node, NodeKind, SurfaceSummary, Warning};
+pub use parameters::{ParameterError, ParameterKind, ParameterSpec, Parameters, Preset, TABLE};
+
+use crate::mesh::TriangleMesh;
+use crate::mesh::preparation::{PreparationError, PreparationReport, Prepared, Surface, prepare};
+use component::ComponentGraph;
+
+/// A component smaller than this share of the whole surface's diagonal is a speck of the segmentation.
+const SPECK: f64 = 0.01;
+
+/// Extracts the centerline of a vessel surface, component by component.
+///
+/// `mesh` is welded (see [`crate::mesh::format::read`]); unit and frame of the result are its own.
+///
+/// # Errors
+/// [`ExtractError`] when the surface cannot have a centerline, or when `control` was cancelled.
+pub fn extract(
+    mesh: &TriangleMesh,
+    parameters: &Parameters,
+    control: &Control<'_>,
+) -> Result<Extraction, ExtractError> {
+    control.report(Stage::Preparation, 0.0)?;
+    let mut prepared = prepare(mesh)?;
+    control.report(Stage::Preparation, 1.0)?;
+    let mut extraction = Extraction { surface: summary(&prepared), ..Extraction::default() };
+    extraction.warnings = repair_warnings(&prepared.report);
+    let diagonal = prepared.report.diagonal;
+    let mut refusal = None;
+    let mut specks = 0;
+    for (index, surface) in prepared.components.iter_mut().enumerate() {
+        if surface.diagonal() < SPECK * diagonal {
+            specks += 1;
+            continue;
+        }
+        if parameters.smoothing() {
+            // The cuts stay where they are.
+            let openings = surface.openings.iter();
+            let cuts: Vec<u32> = openings.flat_map(|o| o.rim.iter().copied().chain([o.centre])).collect();
+            smoothing_filter::smooth(&mut surface.mesh, &cuts, control)?;
+        }
+        let found = match parameters.preset() {
+            Preset::Default => preset_default::extract_component(surface, parameters, control),
+            Preset::Paper => preset_paper::extract_component(surface, diagonal, parameters, control),
+        };
+        match found {
+            Ok(graph) => append(&mut extraction, graph),
+            Err(ExtractError::Cancelled) => return Err(ExtractError::Cancelled),
+            Err(error) => {
+                let detail = format!("component {index} has no centerline: {error}");
+                extraction.warnings.push(Warning { code: "component-skipped", detail });
+                refusal = Some(error);
+            }
+        }
+    }
+    if specks > 0 {
+        let detail = format!("{specks} components smaller than {SPECK} of the diagonal were left out");
+        extraction.warnings.push(Warning { code: "specks-skipped", detail });
+    }
+    match refusal {
+        Some(error) if extraction.centerline.branches.is_empty() => Err(error),
+        _ => Ok(extraction),
+    }
+}
+
+fn summary(prepared: &Prepared) -> SurfaceSummary {
+    SurfaceSummary {
+        vertices: prepared.report.vertices,
+        triangles: prepared.report.triangles,
+        components: prepared.components.len(),
+        genus: prepared.components.iter().map(Surface::genus).sum(),
+        openings: prepared.components.iter().map(|surface| surface.openings.len()).sum(),
+        diagonal: prepared.report.diagonal,
+    }
+}
+
+/// Repairs that a user should know of, with their counts.
+fn repair_warnings(report: &PreparationReport) -> Vec<Warning> {
+    let found = [
+        ("degenerate-triangles", report.degenerate, "triangles with two equal corners were left out"),
+        ("duplicate-triangles", report.duplicates, "triangles that repeat another were left out"),
+        (
+            "flipped-triangles",
+            report.matching.flipped,
+            "triangles were turned to agree with their neighbours",
+        ),
+        (
+            "inverted-components",
+            report.inverted_components,
+            "components had their normals inward and were turned",
+        ),
+        (
+            "non-manifold-edges",
+            report.matching.non_manifold_edges,
+            "edges have more than two triangles; the surface was taken apart there",
+        ),
+        (
+            "conflicting-edges",
+            report.matching.conflicting_edges,
+            "edges have no consistent orientation; the surface was cut there",
+        ),
+        ("split-vertices", report.split_vertices, "vertices where the surface touches itself were doubled"),
+    ];
+    let warn = |(code, count, text): (&'static str, usize, &str)| Warning {
+        code,
+        detail: format!("{count} {text}"),
+    };
+    found.into_iter().filter(|entry| entry.1 > 0).map(warn).collect()
+}
+
+/// Adds a component's graph, its nodes after those already there.
+fn append(extraction: &mut Extraction, graph: ComponentGraph) {
+    let offset = extraction.centerline.nodes.len();
+    extraction.centerline.nodes.extend(graph.nodes);
+    extraction.centerline.branches.extend(graph.branches.into_iter().map(|branch| Branch {
+        from: branch.from + offset,
+        to: branch.to + offset,
+        ..branch
+    }));
+    extraction.warnings.extend(graph.warnings);
+}
+
+impl From<PreparationError> for ExtractError {
+    fn from(error: PreparationError) -> Self {
+        match error {
+            PreparationError::NoTriangles => ExtractError::NoTriangles,
+            PreparationError::AllDegenerate { triangles } => ExtractError::AllDegenerate { triangles },
+        }
+    }
+}

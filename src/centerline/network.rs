@@ -1,0 +1,205 @@
+//! The branches of a component and the nodes that they share.
+
+use nalgebra::{Point3, Vector3};
+
+use super::component::ComponentGraph;
+use super::graph::{Branch, Node, NodeKind};
+use super::reeb::ReebGraph;
+use super::subsampling::{Anchor, subsample};
+use super::tips::Chain;
+use super::track::Track;
+
+/// A place where branches end or meet.
+#[derive(Debug, Clone, Copy)]
+pub struct NetworkNode {
+    /// Vertex of the Reeb node that it came from.
+    pub vertex: u32,
+    pub anchor: Option<Anchor>,
+}
+
+/// Tracks and nodes.
+#[derive(Debug, Clone, Default)]
+pub struct Network {
+    pub nodes: Vec<NetworkNode>,
+    pub tracks: Vec<Track>,
+}
+
+impl Network {
+    /// One track a chain, without stations yet.
+    pub fn new(graph: &ReebGraph, chains: &[Chain]) -> Self {
+        let mut name = vec![usize::MAX; graph.nodes.len()];
+        let mut nodes = Vec::new();
+        let mut number = |reeb: u32| {
+            let slot = &mut name[reeb as usize];
+            if *slot == usize::MAX {
+                *slot = nodes.len();
+                nodes.push(NetworkNode { vertex: graph.nodes[reeb as usize].vertex, anchor: None });
+            }
+            *slot
+        };
+        let track = |chain: &Chain| Track {
+            from: number(chain.from),
+            to: number(chain.to),
+            rings: Vec::new(),
+            stations: Vec::new(),
+            bulge: false,
+        };
+        let tracks = chains.iter().map(track).collect();
+        Self { nodes, tracks }
+    }
+
+    /// The branch ends at a node: track, and whether it is the track's last station that looks at it.
+    pub fn incident(&self, node: usize) -> Vec<(usize, bool)> {
+        let mut ends = Vec::new();
+        for (index, track) in self.tracks.iter().enumerate() {
+            if track.from == node {
+                ends.push((index, false));
+            }
+            if track.to == node {
+                ends.push((index, true));
+            }
+        }
+        ends
+    }
+
+    pub fn is_end(&self, node: usize) -> bool {
+        self.incident(node).len() == 1
+    }
+
+    /// A node where nothing but the two ends of one track meet.
+    pub fn is_ring(&self, node: usize) -> bool {
+        matches!(self.incident(node)[..], [(a, _), (b, _)] if a == b)
+    }
+
+    pub fn anchor(&self, node: usize) -> Option<Anchor> {
+        self.nodes[node].anchor
+    }
+
+    /// Lets `work` see a track so that it runs toward the node in question.
+    pub fn oriented<T>(&mut self, track: usize, at_end: bool, work: impl FnOnce(&mut Track) -> T) -> T {
+        let track = &mut self.tracks[track];
+        if at_end {
+            return work(track);
+        }
+        track.reverse();
+        let result = work(track);
+        track.reverse();
+        result
+    }
+
+    /// Middle of the stations nearest to a joint.
+    pub fn prior(&self, incident: &[(usize, bool)]) -> Point3<f64> {
+        let nearest = incident.iter().filter_map(|&(track, at_end)| {
+            let stations = &self.tracks[track].stations;
+            if at_end { stations.last() } else { stations.first() }
+        });
+        let points: Vec<Point3<f64>> = nearest.map(|station| station.point).collect();
+        let Some(&origin) = points.first() else { return Point3::origin() };
+        let sum: Vector3<f64> = points.iter().map(|p| p - origin).sum();
+        origin + sum / points.len() as f64
+    }
+
+    /// Radius at a joint: that of the widest branch there.
+    pub fn joint_radius(&self, incident: &[(usize, bool)]) -> f64 {
+        let ends = incident.iter().filter_map(|&(track, at_end)| {
+            let stations = &self.tracks[track].stations;
+            if at_end { stations.last() } else { stations.first() }
+        });
+        ends.map(|station| station.radius).fold(0.0, f64::max)
+    }
+
+    /// Joins the joints at both ends of a branch that never shows a section of its own: a
+    /// trifurcation is one joint, even if its branches part at slightly different places.
+    pub fn contract_short(&mut self, trusted: &[bool]) {
+        let mut keep = vec![true; self.tracks.len()];
+        for index in 0..self.tracks.len() {
+            let track = &self.tracks[index];
+            let inner = track.from != track.to && !self.is_end(track.from) && !self.is_end(track.to);
+            let length: f64 = track.stations.windows(2).map(|w| (w[1].point - w[0].point).norm()).sum();
+            let radius = track.stations.iter().map(|s| s.section_radius).fold(0.0, f64::max);
+            if !inner || (trusted[index] && length > radius) || track.rings.len() > 12 {
+                continue;
+            }
+            self.join(index);
+            keep[index] = false;
+        }
+        self.retain(&keep);
+    }
+
+    /// Joins joints whose centres turned out to lie within half a radius of each other.
+    pub fn contract_close(&mut self) {
+        const CLOSE: f64 = 0.5;
+        let mut keep = vec![true; self.tracks.len()];
+        for (index, keep) in keep.iter_mut().enumerate() {
+            let track = &self.tracks[index];
+            let inner = track.from != track.to && !self.is_end(track.from) && !self.is_end(track.to);
+            let (Some(a), Some(b)) = (self.anchor(track.from), self.anchor(track.to)) else { continue };
+            if inner && (a.point - b.point).norm() < CLOSE * a.radius.max(b.radius) {
+                self.join(index);
+                *keep = false;
+            }
+        }
+        self.retain(&keep);
+    }
+
+    /// Makes the two nodes of a track one.
+    fn join(&mut self, track: usize) {
+        let (gone, stays) = (self.tracks[track].to, self.tracks[track].from);
+        for other in &mut self.tracks {
+            if other.from == gone {
+                other.from = stays;
+            }
+            if other.to == gone {
+                other.to = stays;
+            }
+        }
+    }
+
+    fn retain(&mut self, keep: &[bool]) {
+        let mut flags = keep.iter();
+        self.tracks.retain(|_| *flags.next().unwrap_or(&true));
+    }
+
+    /// The result: smooth points between the nodes, with radii.
+    pub fn connect(&self) -> ComponentGraph {
+        let mut graph = ComponentGraph::default();
+        let mut name = vec![usize::MAX; self.nodes.len()];
+        for (index, node) in self.nodes.iter().enumerate() {
+            let incident = self.incident(index);
+            let seam = self.tracks.iter().find(|t| t.from == index).and_then(|t| t.stations.first());
+            let anchor = match (node.anchor, seam) {
+                (Some(anchor), _) => anchor,
+                (None, Some(station)) => Anchor { point: station.point, radius: station.radius },
+                (None, None) => continue,
+            };
+            if incident.is_empty() {
+                continue;
+            }
+            name[index] = graph.nodes.len();
+            let kind = if incident.len() == 1 { NodeKind::End } else { NodeKind::Junction };
+            graph.nodes.push(Node { kind, position: anchor.point, radius: anchor.radius });
+        }
+        for track in &self.tracks {
+            let (from, to) = (name[track.from], name[track.to]);
+            if from == usize::MAX || to == usize::MAX {
+                continue;
+            }
+            let (start, end) = (&graph.nodes[from], &graph.nodes[to]);
+            let inner = track.stations.iter();
+            let skip = usize::from(self.is_ring(track.from));
+            let points: Vec<Point3<f64>> = [start.position]
+                .into_iter()
+                .chain(inner.clone().skip(skip).map(|s| s.point))
+                .chain([end.position])
+                .collect();
+            let radii: Vec<f64> = [start.radius]
+                .into_iter()
+                .chain(inner.skip(skip).map(|s| s.radius))
+                .chain([end.radius])
+                .collect();
+            let (points, radii) = subsample(&points, &radii);
+            graph.branches.push(Branch { from, to, points, radii });
+        }
+        graph
+    }
+}

@@ -1,0 +1,260 @@
+//! The parameters of section V.A and of the preset `default`, in one table that the
+//! command line's help, openapi.yaml and the docs come from.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// Which of the two ways through the same stages.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Preset {
+    /// Scaled to the local radius and edge length; units do not matter.
+    #[default]
+    Default,
+    /// The printed constants and formulas with the corrections that docs/method.md lists.
+    Paper,
+}
+
+impl Preset {
+    pub const NAMES: [&'static str; 2] = ["default", "paper"];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Preset::Default => "default",
+            Preset::Paper => "paper",
+        }
+    }
+}
+
+impl fmt::Display for Preset {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Preset {
+    type Err = ParameterError;
+
+    fn from_str(text: &str) -> Result<Self, ParameterError> {
+        match text {
+            "default" => Ok(Preset::Default),
+            "paper" => Ok(Preset::Paper),
+            _ => Err(ParameterError::UnknownPreset { found: text.to_owned() }),
+        }
+    }
+}
+
+/// What values a parameter takes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ParameterKind {
+    /// A finite number in `min..=max`.
+    Number { min: f64, max: f64 },
+    /// `true` or `false`, held as 1 or 0.
+    Flag,
+}
+
+/// One row of [`TABLE`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ParameterSpec {
+    /// The paper's name where the paper has one.
+    pub name: &'static str,
+    pub unit: &'static str,
+    pub kind: ParameterKind,
+    /// Value under the preset `default`.
+    pub default: f64,
+    /// Value under the preset `paper`.
+    pub paper: f64,
+    pub doc: &'static str,
+}
+
+/// Every parameter. `Parameters` holds its values in this order.
+pub const TABLE: &[ParameterSpec] = &[
+    ParameterSpec {
+        name: "m",
+        unit: "1",
+        kind: ParameterKind::Number { min: 1.05, max: 10.0 },
+        default: 2.0,
+        paper: 2.0,
+        doc: "weight index of the fuzzy K-means clustering (eq. 1)",
+    },
+    ParameterSpec {
+        name: "mu",
+        unit: "1",
+        kind: ParameterKind::Number { min: 0.05, max: 0.95 },
+        default: 0.5,
+        paper: 0.5,
+        doc: "probability above which a vertex belongs to a cluster (IV.A)",
+    },
+    ParameterSpec {
+        name: "d_cut",
+        unit: "diagonal",
+        kind: ParameterKind::Number { min: 0.0005, max: 0.2 },
+        default: 0.025,
+        paper: 0.025,
+        doc: "half width of the band of a cut plane (IV.B), as a share of the bounding box's diagonal; bounded by the local radius and edge length",
+    },
+    ParameterSpec {
+        name: "omega",
+        unit: "1",
+        kind: ParameterKind::Number { min: 0.34, max: 0.999 },
+        default: 0.75,
+        paper: 0.75,
+        doc: "linearity above which a centerline point belongs to a branch, below to a joint (eq. 5)",
+    },
+    ParameterSpec {
+        name: "h",
+        unit: "local radius",
+        kind: ParameterKind::Number { min: 0.05, max: 10.0 },
+        default: 1.0,
+        paper: 1.0,
+        doc: "first radius of the thinning neighbourhood (eq. 6, Algorithm 1)",
+    },
+    ParameterSpec {
+        name: "eps_h",
+        unit: "local radius",
+        kind: ParameterKind::Number { min: 0.01, max: 5.0 },
+        default: 0.1,
+        paper: 0.1,
+        doc: "step by which the thinning neighbourhood grows (Algorithm 1)",
+    },
+    ParameterSpec {
+        name: "delta_h",
+        unit: "1",
+        kind: ParameterKind::Number { min: 0.0, max: 0.999 },
+        default: 0.6,
+        paper: 0.6,
+        doc: "correlation at which the thinning neighbourhood stops growing (eq. 7, Algorithm 1)",
+    },
+    ParameterSpec {
+        name: "tip_height",
+        unit: "local radius",
+        kind: ParameterKind::Number { min: 0.1, max: 20.0 },
+        default: 1.0,
+        paper: 1.0,
+        doc: "height above which a protrusion is a branch with an end of its own",
+    },
+    ParameterSpec {
+        name: "smoothing",
+        unit: "flag",
+        kind: ParameterKind::Flag,
+        default: 0.0,
+        paper: 0.0,
+        doc: "run the morphology-preserving smoothing filter (the paper's ref. 6) on the surface first",
+    },
+];
+
+/// A preset and the values of every parameter of [`TABLE`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Parameters {
+    preset: Preset,
+    values: Vec<f64>,
+}
+
+impl Default for Parameters {
+    fn default() -> Self {
+        Self::of(Preset::Default)
+    }
+}
+
+impl Parameters {
+    /// The values of a preset.
+    pub fn of(preset: Preset) -> Self {
+        let value = |spec: &ParameterSpec| match preset {
+            Preset::Default => spec.default,
+            Preset::Paper => spec.paper,
+        };
+        Self { preset, values: TABLE.iter().map(value).collect() }
+    }
+
+    pub fn preset(&self) -> Preset {
+        self.preset
+    }
+
+    /// Sets a parameter by its name in [`TABLE`] from text, as a query string or a flag gives it.
+    pub fn set(&mut self, name: &str, text: &str) -> Result<(), ParameterError> {
+        let index = TABLE
+            .iter()
+            .position(|spec| spec.name == name)
+            .ok_or_else(|| ParameterError::Unknown { name: name.to_owned() })?;
+        let spec = &TABLE[index];
+        let bad = || ParameterError::Value {
+            name: spec.name,
+            found: text.chars().take(40).collect(),
+            expected: spec.expected(),
+        };
+        self.values[index] = match spec.kind {
+            ParameterKind::Flag => match text {
+                "true" | "1" => 1.0,
+                "false" | "0" => 0.0,
+                _ => return Err(bad()),
+            },
+            ParameterKind::Number { min, max } => {
+                let value: f64 = text.parse().map_err(|_| bad())?;
+                if !(min..=max).contains(&value) {
+                    return Err(bad());
+                }
+                value
+            }
+        };
+        Ok(())
+    }
+
+    /// Every parameter with its value, in the order of [`TABLE`].
+    pub fn iter(&self) -> impl Iterator<Item = (&'static ParameterSpec, f64)> + '_ {
+        TABLE.iter().zip(self.values.iter().copied())
+    }
+
+    fn get(&self, name: &str) -> f64 {
+        self.iter().find(|(spec, _)| spec.name == name).map_or(f64::NAN, |(_, value)| value)
+    }
+
+    pub fn m(&self) -> f64 {
+        self.get("m")
+    }
+    pub fn mu(&self) -> f64 {
+        self.get("mu")
+    }
+    pub fn d_cut(&self) -> f64 {
+        self.get("d_cut")
+    }
+    pub fn omega(&self) -> f64 {
+        self.get("omega")
+    }
+    pub fn h(&self) -> f64 {
+        self.get("h")
+    }
+    pub fn eps_h(&self) -> f64 {
+        self.get("eps_h")
+    }
+    pub fn delta_h(&self) -> f64 {
+        self.get("delta_h")
+    }
+    pub fn tip_height(&self) -> f64 {
+        self.get("tip_height")
+    }
+    pub fn smoothing(&self) -> bool {
+        self.get("smoothing") != 0.0
+    }
+}
+
+impl ParameterSpec {
+    /// The accepted values, for help and errors.
+    pub fn expected(&self) -> String {
+        match self.kind {
+            ParameterKind::Number { min, max } => format!("a number from {min} to {max}"),
+            ParameterKind::Flag => "true or false".to_owned(),
+        }
+    }
+}
+
+/// A parameter that cannot be taken.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ParameterError {
+    #[error("there is no preset '{found}'; use default or paper")]
+    UnknownPreset { found: String },
+    #[error(
+        "there is no parameter '{name}'; the known ones are in /openapi.yaml and in `rosaline extract --help`"
+    )]
+    Unknown { name: String },
+    #[error("parameter {name} is '{found}'; give {expected}")]
+    Value { name: &'static str, found: String, expected: String },
+}

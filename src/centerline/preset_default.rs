@@ -1,0 +1,249 @@
+//! The preset `default`: the paper's stages, scaled to the local radius and with homotopy by construction.
+//!
+//! Tips and segmentation come from the Reeb graph of a geodesic distance, centerline points from
+//! closed sections, joints from the branches' own continuation. `docs/method.md` has the reasons.
+
+use nalgebra::Point3;
+use rayon::prelude::*;
+
+use crate::mesh::preparation::{Opening, Surface};
+
+use super::bulges::round_bulge;
+use super::component::ComponentGraph;
+use super::cross_sections::{judge_outward, march, recut, settle};
+use super::ends::{end_point, far_wall};
+use super::geodesic::{EdgeGraph, geodesic};
+use super::joints::{Approach, joint_centre, run_to_centre};
+use super::level_sets::LevelSet;
+use super::network::Network;
+use super::reeb::{ReebGraph, reeb_graph};
+use super::root::root;
+use super::subsampling::{Anchor, settle_radii, smooth, smooth_ring};
+use super::tips::{Chain, chains, farthest};
+use super::track::{Track, rings, stations_of};
+use super::{Control, ExtractError, Parameters, Stage};
+
+/// Rounds of centering joints and judging the walls on the way to them.
+const JOINT_ROUNDS: usize = 4;
+
+/// The centerline of one component.
+///
+/// # Errors
+/// [`ExtractError::NotTubular`] for a blob, [`ExtractError::Cancelled`].
+pub fn extract_component(
+    surface: &Surface,
+    parameters: &Parameters,
+    control: &Control<'_>,
+) -> Result<ComponentGraph, ExtractError> {
+    control.report(Stage::Tips, 0.0)?;
+    let (graph, chains) = segment(surface, parameters.tip_height(), control)?;
+    let mut network = Network::new(&graph, &chains);
+    control.report(Stage::CutPlanes, 0.0)?;
+    let trusted = cut_planes(surface, &graph, &chains, &mut network, control)?;
+    network.contract_short(&trusted);
+    control.report(Stage::LaplacianSmoothing, 0.0)?;
+    network.tracks.par_iter_mut().for_each(|track| smooth(track, None, None));
+    control.report(Stage::Recentering, 0.0)?;
+    reach_ends(surface, &mut network, control)?;
+    meet_in_joints(surface, &mut network, control)?;
+    control.report(Stage::Connection, 0.0)?;
+    let result = network.connect();
+    refuse_blob(surface, &result)?;
+    Ok(result)
+}
+
+/// The Reeb graph of the geodesic distance from the widest end's cap, and its chains.
+pub(super) fn segment(
+    surface: &Surface,
+    tip_height: f64,
+    control: &Control<'_>,
+) -> Result<(ReebGraph, Vec<Chain>), ExtractError> {
+    let cancel = &control.cancel;
+    let (mesh, corners) = (&surface.mesh, &surface.corners);
+    let mut edges = EdgeGraph::new(&mesh.vertices, corners);
+    edges.raise(&surface.openings);
+    let anywhere = geodesic(&edges, &[0], cancel)?;
+    control.report(Stage::Tips, 0.2)?;
+    let distance = geodesic(&edges, &[farthest(&anywhere.distance)], cancel)?;
+    control.report(Stage::Tips, 0.4)?;
+    let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
+    let first = chains(surface, &graph, tip_height, cancel)?;
+    control.report(Stage::Segmentation, 0.0)?;
+    let Some(root) = root(surface, &graph, &first) else {
+        return Ok((graph, first));
+    };
+    edges.shrink(&root.cap);
+    let distance = geodesic(&edges, &[root.vertex], cancel)?;
+    control.report(Stage::Segmentation, 0.4)?;
+    let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
+    let chains = chains(surface, &graph, tip_height, cancel)?;
+    Ok((graph, chains))
+}
+
+/// Rings, stations and judged sections of every branch; returns which branches have a section of their own.
+fn cut_planes(
+    surface: &Surface,
+    graph: &ReebGraph,
+    chains: &[Chain],
+    network: &mut Network,
+    control: &Control<'_>,
+) -> Result<Vec<bool>, ExtractError> {
+    let tip = |node: usize, reeb: u32| network.is_end(node).then(|| rim_level(surface, graph, reeb));
+    let ends: Vec<(Option<f64>, Option<f64>)> = network
+        .tracks
+        .iter()
+        .zip(chains)
+        .map(|(track, chain)| (tip(track.from, chain.from), tip(track.to, chain.to)))
+        .collect();
+    let work = network.tracks.par_iter_mut().zip(chains).zip(&ends);
+    work.map(|((track, chain), &(from_tip, to_tip))| {
+        control.cancel.check()?;
+        track.rings = rings(surface, graph, chain);
+        track.stations = stations_of(&track.rings);
+        trim_tips(track, from_tip, to_tip);
+        settle(surface, track);
+        control.cancel.check()?;
+        let trusted = judge_outward(surface, track);
+        march(surface, track, to_tip.is_some());
+        track.reverse();
+        march(surface, track, from_tip.is_some());
+        track.reverse();
+        if from_tip.is_some() != to_tip.is_some() {
+            round_bulge(surface, track, from_tip.is_some());
+        }
+        Ok(trusted)
+    })
+    .collect()
+}
+
+/// The distance at a tip; at an opening that at its rim, below the raised centre.
+fn rim_level(surface: &Surface, graph: &ReebGraph, node: u32) -> f64 {
+    let node = &graph.nodes[node as usize];
+    let opening = surface.openings.iter().find(|opening| opening.centre == node.vertex);
+    let at_rim = |opening: &Opening| {
+        opening.rim.iter().map(|&v| graph.function[v as usize]).fold(f64::INFINITY, f64::min)
+    };
+    opening.map_or(node.level, at_rim)
+}
+
+/// Rings close to a tip lie aslant over the cap: stations there would mislead.
+///
+/// `from_level` and `to_level` are the function at the tips; `None` at joints.
+fn trim_tips(track: &mut Track, from_level: Option<f64>, to_level: Option<f64>) {
+    /// Reach of a cap's influence, in radii.
+    const CAP: f64 = 2.5;
+    let mut radii: Vec<f64> = track.rings.iter().map(|ring| ring.radius()).collect();
+    radii.sort_by(f64::total_cmp);
+    let Some(&radius) = radii.get(radii.len() / 2) else { return };
+    let levels = || track.rings.iter().map(|ring| ring.level);
+    let span = levels().fold(f64::MIN, f64::max) - levels().fold(f64::MAX, f64::min);
+    let reach = (CAP * radius).min(0.3 * span);
+    let far =
+        |ring: usize, tip: Option<f64>| tip.is_none_or(|tip| (track.rings[ring].level - tip).abs() > reach);
+    let keep = |ring: usize| far(ring, from_level) && far(ring, to_level);
+    if (0..track.rings.len()).filter(|&ring| keep(ring)).count() >= 3 {
+        track.stations.retain(|station| keep(station.ring));
+    }
+}
+
+/// Puts each end node at the wall ahead of its branch.
+fn reach_ends(surface: &Surface, network: &mut Network, control: &Control<'_>) -> Result<(), ExtractError> {
+    for node in 0..network.nodes.len() {
+        control.cancel.check()?;
+        let [(track, at_end)] = network.incident(node)[..] else { continue };
+        // A bulge points away from its joint: its far wall is found once that is known.
+        if network.tracks[track].bulge {
+            continue;
+        }
+        let vertex = network.nodes[node].vertex;
+        let end = network.oriented(track, at_end, |track| end_point(surface, track, vertex));
+        network.nodes[node].anchor = Some(Anchor { point: end.point, radius: end.radius });
+    }
+    Ok(())
+}
+
+/// Finds the joints' centres and leads the branches into them, a few rounds.
+fn meet_in_joints(
+    surface: &Surface,
+    network: &mut Network,
+    control: &Control<'_>,
+) -> Result<(), ExtractError> {
+    for round in 0..JOINT_ROUNDS {
+        control.report(Stage::Recentering, round as f64 / JOINT_ROUNDS as f64)?;
+        for node in 0..network.nodes.len() {
+            meet(surface, network, node);
+        }
+        if round == 0 {
+            network.contract_close();
+        }
+        let anchors: Vec<(Option<Anchor>, Option<Anchor>)> =
+            network.tracks.iter().map(|t| (network.anchor(t.from), network.anchor(t.to))).collect();
+        let rings: Vec<bool> = network.tracks.iter().map(|t| network.is_ring(t.from)).collect();
+        network.tracks.par_iter_mut().zip(anchors).zip(rings).for_each(|((track, (from, to)), ring)| {
+            if ring {
+                smooth_ring(track)
+            } else {
+                smooth(track, from, to)
+            }
+            recut(surface, track);
+            if ring {
+                smooth_ring(track)
+            } else {
+                smooth(track, from, to)
+            }
+            settle_radii(&mut track.stations);
+        });
+    }
+    Ok(())
+}
+
+/// Finds one joint's centre and leads its branches in.
+fn meet(surface: &Surface, network: &mut Network, node: usize) {
+    let incident = network.incident(node);
+    if incident.len() < 2 || network.is_ring(node) {
+        return;
+    }
+    let mut approaches: Vec<Approach> = Vec::with_capacity(incident.len());
+    for &(track, at_end) in &incident {
+        approaches.extend(network.oriented(track, at_end, |track| Approach::of(track)));
+    }
+    let prior = network.prior(&incident);
+    let centre = joint_centre(&approaches, &prior);
+    let radius = network.joint_radius(&incident);
+    network.nodes[node].anchor = Some(Anchor { point: centre, radius });
+    for &(index, at_end) in &incident {
+        let track = &network.tracks[index];
+        if track.bulge {
+            let far = if at_end { track.from } else { track.to };
+            let end = far_wall(surface, track, &centre);
+            network.nodes[far].anchor = end.map(|end| Anchor { point: end.point, radius: end.radius });
+        }
+    }
+    lead_in(surface, network, &incident, &centre);
+}
+
+/// Runs every incident branch to the centre, each judged by the rings of all of them.
+fn lead_in(surface: &Surface, network: &mut Network, incident: &[(usize, bool)], centre: &Point3<f64>) {
+    let mut pool: Vec<LevelSet> = Vec::new();
+    for &(track, _) in incident {
+        let track = &network.tracks[track];
+        let near = |ring: &&LevelSet| (ring.centroid - centre).norm() < 8.0 * ring.radius();
+        pool.extend(track.rings.iter().filter(near).cloned());
+    }
+    let rings: Vec<&LevelSet> = pool.iter().collect();
+    for &(track, at_end) in incident {
+        network.oriented(track, at_end, |track| run_to_centre(surface, track, centre, &rings));
+    }
+}
+
+/// A closed blob has one short branch: no vessel.
+pub(super) fn refuse_blob(surface: &Surface, graph: &ComponentGraph) -> Result<(), ExtractError> {
+    let [branch] = &graph.branches[..] else { return Ok(()) };
+    let widest = branch.radii.iter().copied().fold(0.0, f64::max);
+    let is_blob = surface.openings.len() < 2 && branch.from != branch.to && branch.length() < 2.5 * widest;
+    if is_blob {
+        let detail = format!("its line would be {:.3} long at a radius of {widest:.3}", branch.length());
+        return Err(ExtractError::NotTubular { detail });
+    }
+    Ok(())
+}

@@ -1,0 +1,268 @@
+//! Cross-sections: the closed polygon in which a plane cuts the wall around one branch.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{Point2, Point3, Unit, Vector2, Vector3};
+
+use crate::mesh::corner_table::next;
+use crate::mesh::preparation::Surface;
+
+/// An orthonormal frame: a plane through `origin` with normal `t`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Frame {
+    pub origin: Point3<f64>,
+    pub u: Vector3<f64>,
+    pub v: Vector3<f64>,
+    pub t: Vector3<f64>,
+}
+
+impl Frame {
+    /// The plane through `origin` perpendicular to `t`; `u` is `like` turned into the plane as
+    /// little as possible, so that neighbouring frames do not spin.
+    pub fn new(origin: Point3<f64>, t: Unit<Vector3<f64>>, like: Vector3<f64>) -> Self {
+        let t = t.into_inner();
+        let flat = like - t * t.dot(&like);
+        let u = flat.try_normalize(1e-9 * like.norm()).unwrap_or_else(|| any_perpendicular(t));
+        Self { origin, u, v: t.cross(&u), t }
+    }
+
+    /// Coordinates in the plane.
+    pub fn flat(&self, p: &Point3<f64>) -> Point2<f64> {
+        let d = p - self.origin;
+        Point2::new(d.dot(&self.u), d.dot(&self.v))
+    }
+
+    /// The point of space at plane coordinates `p`.
+    pub fn lift(&self, p: &Point2<f64>) -> Point3<f64> {
+        self.origin + self.u * p.x + self.v * p.y
+    }
+}
+
+/// Some unit vector perpendicular to `t`.
+pub fn any_perpendicular(t: Vector3<f64>) -> Vector3<f64> {
+    let axis = if t.x.abs() <= t.y.abs() && t.x.abs() <= t.z.abs() {
+        Vector3::x()
+    } else if t.y.abs() <= t.z.abs() {
+        Vector3::y()
+    } else {
+        Vector3::z()
+    };
+    (axis - t * t.dot(&axis)).normalize()
+}
+
+/// A closed polygon on the surface in one plane.
+#[derive(Debug, Clone)]
+pub struct Section {
+    pub frame: Frame,
+    /// Corners in plane coordinates; counter-clockwise around the lumen.
+    pub points: Vec<Point2<f64>>,
+    /// The triangle that each side (from a corner to the next) lies in.
+    pub triangles: Vec<u32>,
+}
+
+/// Area, centroid and shape of a section.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SectionMeasure {
+    /// Signed; positive around the lumen.
+    pub area: f64,
+    /// Centroid of the area, in plane coordinates.
+    pub centroid: Point2<f64>,
+}
+
+impl SectionMeasure {
+    /// Radius of the circle of the same area.
+    pub fn radius(&self) -> f64 {
+        (self.area.max(0.0) / std::f64::consts::PI).sqrt()
+    }
+}
+
+/// Cuts the surface with the plane of `frame`, around from `seed`, a triangle that the plane crosses.
+///
+/// O(triangles crossed). `None` when the plane misses the seed.
+pub fn section(surface: &Surface, frame: Frame, seed: u32) -> Option<Section> {
+    let side = |v: u32| (surface.mesh.vertices[v as usize] - frame.origin).dot(&frame.t);
+    let corners = &surface.corners;
+    // Leaving each triangle over its upward half-edge runs counter-clockwise around the lumen.
+    let upward = |h: &u32| side(corners.origin(*h)) < 0.0 && side(corners.target(*h)) >= 0.0;
+    let start = (3 * seed..3 * seed + 3).find(upward)?;
+    let mut points = Vec::new();
+    let mut triangles = Vec::new();
+    let mut h = start;
+    loop {
+        let (a, b) = (corners.origin(h), corners.target(h));
+        let (low, high) = (side(a), side(b));
+        let (pa, pb) = (surface.mesh.vertices[a as usize], surface.mesh.vertices[b as usize]);
+        points.push(frame.flat(&(pa + (pb - pa) * (low / (low - high)))));
+        let beyond = corners.opposite(h);
+        triangles.push(beyond / 3);
+        // The apex of the triangle beyond decides through which side the plane leaves it.
+        let (first, second) = (next(beyond), next(next(beyond)));
+        h = if side(corners.target(first)) >= 0.0 { first } else { second };
+        if h == start {
+            return Some(Section { frame, points, triangles });
+        }
+        if points.len() > corners.half_edges() {
+            return None;
+        }
+    }
+}
+
+impl Section {
+    /// Area and centroid of the polygon (Green's theorem).
+    pub fn measure(&self) -> SectionMeasure {
+        let Some(&base) = self.points.first() else {
+            return SectionMeasure { area: 0.0, centroid: Point2::origin() };
+        };
+        let (mut twice, mut moment) = (0.0, Vector2::zeros());
+        for (p, q, _) in self.sides() {
+            let (a, b) = (p - base, q - base);
+            let cross = a.x * b.y - a.y * b.x;
+            twice += cross;
+            moment += (a + b) * cross;
+        }
+        let centroid = if twice.abs() > 0.0 { base + moment / (3.0 * twice) } else { base };
+        SectionMeasure { area: 0.5 * twice, centroid }
+    }
+
+    /// The sides: both corners and the triangle.
+    pub fn sides(&self) -> impl Iterator<Item = (Point2<f64>, Point2<f64>, u32)> + '_ {
+        let n = self.points.len();
+        (0..n).map(move |i| (self.points[i], self.points[(i + 1) % n], self.triangles[i]))
+    }
+
+    /// Whether the polygon winds around the point.
+    pub fn encloses(&self, point: &Point2<f64>) -> bool {
+        let mut inside = false;
+        for (p, q, _) in self.sides() {
+            if (p.y > point.y) != (q.y > point.y) {
+                let x = p.x + (point.y - p.y) / (q.y - p.y) * (q.x - p.x);
+                inside ^= point.x < x;
+            }
+        }
+        inside
+    }
+
+    /// Distance from a plane point to the nearest side.
+    pub fn distance(&self, point: &Point2<f64>) -> f64 {
+        let to_side = |(p, q, _): (Point2<f64>, Point2<f64>, u32)| {
+            let d = q - p;
+            let share = ((point - p).dot(&d) / d.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+            (point - (p + d * share)).norm_squared()
+        };
+        self.sides().map(to_side).fold(f64::INFINITY, f64::min).sqrt()
+    }
+}
+
+/// The wall of a section seen from its centre: distance by direction, in equal bins of angle.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Profile {
+    /// Distance from the centre, by angle from the frame's `u`.
+    pub radii: [f64; Profile::BINS],
+}
+
+impl Profile {
+    pub const BINS: usize = 32;
+
+    pub fn circle(radius: f64) -> Self {
+        Self { radii: [radius; Self::BINS] }
+    }
+
+    /// The nearest wall in each direction from `centre`, which the section must enclose.
+    pub fn of(section: &Section, centre: &Point2<f64>, fallback: f64) -> Self {
+        let mut radii = [f64::INFINITY; Self::BINS];
+        for (p, q, _) in section.sides() {
+            let (a, b) = (p - centre, q - centre);
+            let (from, turn) = (a.y.atan2(a.x), signed_angle(&a, &b));
+            let (low, high) = if turn >= 0.0 { (from, from + turn) } else { (from + turn, from) };
+            let width = TAU / Self::BINS as f64;
+            let mut bin = (low / width).ceil() as i64;
+            while (bin as f64) * width <= high {
+                let direction = Vector2::new((bin as f64 * width).cos(), (bin as f64 * width).sin());
+                let d = b - a;
+                let denominator = direction.x * d.y - direction.y * d.x;
+                if denominator.abs() > 0.0 {
+                    let reach = (a.x * d.y - a.y * d.x) / denominator;
+                    let slot = &mut radii[bin.rem_euclid(Self::BINS as i64) as usize];
+                    *slot = slot.min(reach.max(0.0));
+                }
+                bin += 1;
+            }
+        }
+        for radius in &mut radii {
+            if !radius.is_finite() {
+                *radius = fallback;
+            }
+        }
+        Self { radii }
+    }
+
+    /// Distance in a direction of the plane, linear between the bins.
+    pub fn at(&self, direction: &Vector2<f64>) -> f64 {
+        let place = direction.y.atan2(direction.x).rem_euclid(TAU) / TAU * Self::BINS as f64;
+        let low = place.floor();
+        let (i, share) = (low as usize % Self::BINS, place - low);
+        self.radii[i] * (1.0 - share) + self.radii[(i + 1) % Self::BINS] * share
+    }
+
+    /// Mean radius.
+    pub fn mean(&self) -> f64 {
+        self.radii.iter().sum::<f64>() / Self::BINS as f64
+    }
+
+    /// Largest over smallest distance.
+    pub fn roundness(&self) -> f64 {
+        let (low, high) = self.radii.iter().fold((f64::INFINITY, 0.0f64), |(l, h), &r| (l.min(r), h.max(r)));
+        high / low.max(1e-12 * high)
+    }
+
+    /// The same wall seen from the plane's other side (`u` kept, `v` turned).
+    pub fn mirror(&mut self) {
+        self.radii[1..].reverse();
+    }
+
+    /// The same wall, larger by `factor`.
+    pub fn scaled(&self, factor: f64) -> Self {
+        Self { radii: self.radii.map(|radius| radius * factor) }
+    }
+
+    /// A share `weight` of `other` mixed in.
+    pub fn blend(&mut self, other: &Profile, weight: f64) {
+        for (own, new) in self.radii.iter_mut().zip(&other.radii) {
+            *own += weight * (new - *own);
+        }
+    }
+}
+
+/// Angle from `a` to `b`, in -pi..pi.
+pub fn signed_angle(a: &Vector2<f64>, b: &Vector2<f64>) -> f64 {
+    (a.x * b.y - a.y * b.x).atan2(a.dot(b))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::shapes::open_tube;
+    use super::*;
+    use crate::mesh::preparation::prepare;
+
+    #[test]
+    fn a_tube_cut_aslant_is_an_ellipse() {
+        let prepared = prepare(&open_tube(10.0, 41, 200)).unwrap();
+        let surface = &prepared.components[0];
+        let tilt = 0.5f64;
+        let normal = Unit::new_normalize(Vector3::new(tilt.sin(), 0.0, tilt.cos()));
+        let frame = Frame::new(Point3::new(0.2, 0.1, 5.0), normal, Vector3::y());
+        let seed = (0..surface.mesh.triangles.len() as u32).find(|&t| section(surface, frame, t).is_some());
+        let cut = section(surface, frame, seed.unwrap()).unwrap();
+        let measure = cut.measure();
+        let area = std::f64::consts::PI / tilt.cos();
+        assert!((measure.area / area - 1.0).abs() < 1e-3, "{} against {area}", measure.area);
+        let centre = frame.lift(&measure.centroid);
+        assert!(centre.x.hypot(centre.y) < 1e-6, "{centre}");
+        assert!(cut.encloses(&measure.centroid) && !cut.encloses(&Point2::new(9.0, 0.0)));
+        assert!((cut.distance(&measure.centroid) - 1.0).abs() < 1e-3);
+        let profile = Profile::of(&cut, &measure.centroid, 0.0);
+        // u lies along y here, where the ellipse has its short half axis.
+        assert!((profile.at(&Vector2::x()) - 1.0).abs() < 1e-3);
+        assert!((profile.at(&Vector2::y()) - 1.0 / tilt.cos()).abs() < 1e-3);
+    }
+}

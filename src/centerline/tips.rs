@@ -1,0 +1,300 @@
+//! Tips of the branches (section IV.A; ref. 30: critical points of a geodesic distance).
+//!
+//! Every leaf of the Reeb graph of a geodesic distance is a candidate. A tip counts by its height
+//! over the base of its branch (`tip_height`), measured against the radius of that base or of the
+//! vessel that it stands on, whichever is smaller: a blunt bump, a stair of a voxel surface or noise
+//! is no branch, a sac is one. Handles are never touched: loops stay.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use nalgebra::Point3;
+
+use crate::mesh::preparation::Surface;
+
+use super::level_sets::{LevelSet, level_set};
+use super::reeb::ReebGraph;
+use super::{CancelToken, ExtractError};
+
+const NONE: u32 = u32::MAX;
+
+/// A branch of the segmented surface: a chain of Reeb arcs without a junction on the way.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Chain {
+    /// Reeb node that it starts at; an end or a junction.
+    pub from: u32,
+    /// Reeb node that it ends at.
+    pub to: u32,
+    /// Arcs in order, with `true` where they are passed upward.
+    pub arcs: Vec<(u32, bool)>,
+}
+
+/// Which Reeb arcs remain after the leaves that are no tips were removed.
+struct Pruning<'a> {
+    surface: &'a Surface,
+    graph: &'a ReebGraph,
+    alive: Vec<bool>,
+    /// Arcs at each node, dead ones included.
+    at_node: Vec<Vec<u32>>,
+}
+
+/// Removes the leaves lower than `tip_height` times their base radius, lowest first, and returns
+/// what remains as chains between ends and junctions. O(leaves log leaves + level sets measured).
+///
+/// # Errors
+/// [`ExtractError::Cancelled`].
+pub fn chains(
+    surface: &Surface,
+    graph: &ReebGraph,
+    tip_height: f64,
+    cancel: &CancelToken,
+) -> Result<Vec<Chain>, ExtractError> {
+    let mut at_node = vec![Vec::new(); graph.nodes.len()];
+    for (index, arc) in graph.arcs.iter().enumerate() {
+        at_node[arc.lower as usize].push(index as u32);
+        at_node[arc.upper as usize].push(index as u32);
+    }
+    let mut pruning = Pruning { surface, graph, alive: vec![true; graph.arcs.len()], at_node };
+    pruning.prune_leaves(tip_height, cancel)?;
+    pruning.prune_root(tip_height);
+    Ok(pruning.chains())
+}
+
+impl Pruning<'_> {
+    fn alive_at(&self, node: u32) -> impl Iterator<Item = u32> + '_ {
+        self.at_node[node as usize].iter().copied().filter(|&arc| self.alive[arc as usize])
+    }
+
+    fn degree(&self, node: u32) -> usize {
+        self.alive_at(node).count()
+    }
+
+    /// The arcs from leaf node `leaf` down to the next node that is not a mere passage.
+    fn leaf_chain(&self, leaf: u32) -> Option<(Vec<u32>, u32)> {
+        let mut arcs = Vec::new();
+        let mut node = leaf;
+        let mut arc = self.alive_at(leaf).next()?;
+        loop {
+            arcs.push(arc);
+            node = if self.graph.arcs[arc as usize].upper == node {
+                self.graph.arcs[arc as usize].lower
+            } else {
+                self.graph.arcs[arc as usize].upper
+            };
+            if self.degree(node) != 2 {
+                return Some((arcs, node));
+            }
+            arc = self.alive_at(node).find(|&other| other != arc)?;
+        }
+    }
+
+    fn prune_leaves(&mut self, tip_height: f64, cancel: &CancelToken) -> Result<(), ExtractError> {
+        let mut queue = BinaryHeap::new();
+        for (index, arc) in self.graph.arcs.iter().enumerate() {
+            let is_leaf = self.at_node[arc.upper as usize].len() == 1;
+            if is_leaf && self.at_node[arc.lower as usize].len() > 1 {
+                let height = self.span(index as u32);
+                queue.push(Reverse((height.to_bits(), index as u32)));
+            }
+        }
+        let mut steps = 0usize;
+        while let Some(Reverse((bits, index))) = queue.pop() {
+            steps += 1;
+            if steps.is_multiple_of(256) {
+                cancel.check()?;
+            }
+            let leaf = self.graph.arcs[index as usize].upper;
+            let Some((arcs, base)) = self.leaf_chain(leaf) else { continue };
+            if self.degree(base) < 3 {
+                continue;
+            }
+            let height: f64 = arcs.iter().map(|&arc| self.span(arc)).sum();
+            if height > f64::from_bits(bits) {
+                // Its base moved down when a neighbour went: it is judged in its new turn.
+                queue.push(Reverse((height.to_bits(), index)));
+                continue;
+            }
+            if !self.stands_out(&arcs, leaf, height, self.sibling_radius(base, &arcs), tip_height) {
+                arcs.iter().for_each(|&arc| self.alive[arc as usize] = false);
+            }
+        }
+        Ok(())
+    }
+
+    /// How far the function rises along an arc.
+    fn span(&self, arc: u32) -> f64 {
+        let arc = &self.graph.arcs[arc as usize];
+        self.graph.nodes[arc.upper as usize].level - self.graph.nodes[arc.lower as usize].level
+    }
+
+    /// Radius of the widest branch that goes on upward beside a leaf.
+    fn sibling_radius(&self, base: u32, leaf: &[u32]) -> f64 {
+        let beside = self.alive_at(base).filter(|arc| !leaf.contains(arc));
+        let upward = beside.filter(|&arc| self.graph.arcs[arc as usize].lower == base);
+        let lengths = upward.map(|arc| self.graph.arcs[arc as usize].base_length);
+        let widest = lengths.fold(0.0, f64::max);
+        if widest > 0.0 { widest / std::f64::consts::TAU } else { f64::INFINITY }
+    }
+
+    /// Whether a leaf is high enough over its base to be a branch; `height` is its rise of distance,
+    /// `beside` the radius of the vessel that it stands on.
+    fn stands_out(&self, arcs: &[u32], leaf: u32, height: f64, beside: f64, tip_height: f64) -> bool {
+        /// Least height in sample distances: what fewer samples show is no shape yet.
+        const SAMPLES: f64 = 3.0;
+        /// Largest hole in a wall, in radii of the vessel.
+        const HOLE: f64 = 0.25;
+        let Some(&base) = arcs.last() else { return false };
+        let base = &self.graph.arcs[base as usize];
+        let radius = base.base_length / std::f64::consts::TAU;
+        let sample = base.base_length / f64::from(base.base_edges.max(1));
+        let least = (tip_height * radius.min(beside)).max(SAMPLES * sample);
+        let tip = self.graph.nodes[leaf as usize].vertex;
+        if let Some(opening) = self.surface.openings.iter().find(|opening| opening.centre == tip) {
+            // The vessel was cut here; an opening much thinner than what it opens is a hole in the wall.
+            return !beside.is_finite() || opening.radius >= HOLE * beside;
+        }
+        // No straight distance is longer than the geodesic beside it but by the base's width: a cheap look first.
+        height >= 0.5 * least && self.reach(arcs, leaf) >= least
+    }
+
+    /// The level sets along an arc, upward from its lower node.
+    fn rings(&self, arc: u32) -> impl Iterator<Item = LevelSet> + '_ {
+        const LEVELS: usize = 4;
+        let low = self.graph.nodes[self.graph.arcs[arc as usize].lower as usize].level;
+        (0..LEVELS).map(move |i| {
+            let level = low + self.span(arc) * i as f64 / LEVELS as f64;
+            let (mesh, corners) = (&self.surface.mesh, &self.surface.corners);
+            level_set(&mesh.vertices, corners, self.graph, arc as usize, level)
+        })
+    }
+
+    fn position(&self, node: u32) -> Point3<f64> {
+        self.surface.mesh.vertices[self.graph.nodes[node as usize].vertex as usize]
+    }
+
+    /// Greatest distance of the tip or a level set's centre from the centre of the base.
+    fn reach(&self, arcs: &[u32], tip: u32) -> f64 {
+        let mut rings = arcs.iter().rev().flat_map(|&arc| self.rings(arc));
+        let Some(base) = rings.next() else { return 0.0 };
+        let centres = rings.map(|ring| ring.centroid).chain([self.position(tip)]);
+        centres.map(|centre| (centre - base.centroid).norm()).fold(0.0, f64::max)
+    }
+
+    /// On a surface without ends the root is no tip either: its leaf goes by the same measure.
+    fn prune_root(&mut self, tip_height: f64) {
+        const ROOT: u32 = 0;
+        if self.degree(ROOT) != 1 {
+            return;
+        }
+        let Some((arcs, base)) = self.leaf_chain(ROOT) else { return };
+        if self.degree(base) < 3 {
+            return;
+        }
+        let rings: Vec<LevelSet> = arcs.iter().flat_map(|&arc| self.rings(arc)).collect();
+        let Some(top) = rings.last() else { return };
+        let root = self.position(ROOT);
+        let centres = rings.iter().map(|ring| ring.centroid).chain([root]);
+        let reach = centres.map(|centre| (centre - top.centroid).norm()).fold(0.0, f64::max);
+        if reach < tip_height * top.radius() {
+            arcs.iter().for_each(|&arc| self.alive[arc as usize] = false);
+        }
+    }
+
+    /// What is alive, as chains between nodes of a degree other than two; a bare ring starts anywhere.
+    fn chains(&self) -> Vec<Chain> {
+        let mut used = vec![false; self.graph.arcs.len()];
+        let mut chains = Vec::new();
+        let degrees: Vec<usize> = (0..self.graph.nodes.len() as u32).map(|n| self.degree(n)).collect();
+        for only_rings in [false, true] {
+            for node in 0..self.graph.nodes.len() as u32 {
+                let wanted = if only_rings {
+                    degrees[node as usize] == 2
+                } else {
+                    !matches!(degrees[node as usize], 0 | 2)
+                };
+                if !wanted {
+                    continue;
+                }
+                for arc in self.at_node[node as usize].clone() {
+                    if self.alive[arc as usize] && !used[arc as usize] {
+                        chains.push(self.follow(node, arc, &degrees, &mut used));
+                    }
+                }
+            }
+        }
+        chains
+    }
+
+    fn follow(&self, from: u32, first: u32, degrees: &[usize], used: &mut [bool]) -> Chain {
+        let mut arcs = Vec::new();
+        let mut node = from;
+        let mut arc = first;
+        loop {
+            used[arc as usize] = true;
+            let data = &self.graph.arcs[arc as usize];
+            let upward = data.lower == node;
+            arcs.push((arc, upward));
+            node = if upward { data.upper } else { data.lower };
+            let onward = self.alive_at(node).find(|&other| !used[other as usize]);
+            match onward {
+                Some(next) if degrees[node as usize] == 2 && node != from => arc = next,
+                _ => return Chain { from, to: node, arcs },
+            }
+        }
+    }
+}
+
+/// The vertex farthest from the source; taken twice, an end of the surface.
+pub fn farthest(distance: &[f64]) -> u32 {
+    let mut best = NONE;
+    let mut reach = f64::NEG_INFINITY;
+    for (v, &d) in distance.iter().enumerate() {
+        if d.is_finite() && d > reach {
+            (best, reach) = (v as u32, d);
+        }
+    }
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::geodesic::{EdgeGraph, geodesic};
+    use super::super::reeb::reeb_graph;
+    use super::super::shapes::{open_tube, sphere, torus};
+    use super::*;
+    use crate::mesh::TriangleMesh;
+    use crate::mesh::preparation::prepare;
+
+    /// Chains, Reeb loops of the first component.
+    fn segmented(mesh: &TriangleMesh) -> (Vec<Chain>, i64) {
+        let prepared = prepare(mesh).unwrap();
+        let surface = &prepared.components[0];
+        let cancel = CancelToken::new();
+        let edges = EdgeGraph::new(&surface.mesh.vertices, &surface.corners);
+        let root = farthest(&geodesic(&edges, &[0], &cancel).unwrap().distance);
+        let distance = geodesic(&edges, &[root], &cancel).unwrap();
+        let graph = reeb_graph(&surface.mesh.vertices, &surface.corners, distance, &cancel).unwrap();
+        let loops = graph.arcs.len() as i64 - graph.nodes.len() as i64 + 1;
+        assert_eq!(loops, surface.genus() as i64);
+        (chains(surface, &graph, 1.0, &cancel).unwrap(), loops)
+    }
+
+    #[test]
+    fn a_tube_is_one_chain_between_two_ends() {
+        let (chains, loops) = segmented(&open_tube(20.0, 60, 24));
+        assert_eq!((chains.len(), loops), (1, 0));
+        assert_ne!(chains[0].from, chains[0].to);
+    }
+
+    #[test]
+    fn a_torus_is_one_ring() {
+        let (chains, loops) = segmented(&torus(10.0, 1.5, 120, 24));
+        assert_eq!((chains.len(), loops), (1, 1));
+        assert_eq!(chains[0].from, chains[0].to);
+    }
+
+    #[test]
+    fn a_sphere_is_one_chain() {
+        assert_eq!(segmented(&sphere(40, 60)).0.len(), 1);
+    }
+}

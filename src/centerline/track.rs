@@ -1,0 +1,175 @@
+//! A branch under construction: its rings on the surface and the stations along its line.
+
+use nalgebra::{Matrix3, Point3, Unit, Vector3};
+
+use crate::mesh::preparation::Surface;
+
+use super::level_sets::{LevelSet, level_set};
+use super::reeb::ReebGraph;
+use super::section::{Frame, Profile, Section, section};
+use super::tips::Chain;
+use super::wall_shape::WallShape;
+
+/// Distance between rings and between stations, in local radii.
+pub const SPACING: f64 = 0.4;
+
+/// How well the wall around a station is seen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sight {
+    /// A closed section of this branch alone.
+    Clean,
+    /// A section that takes in more than this branch, or less: a part of the wall was used.
+    Partial,
+    /// No wall of this branch; the neighbours decide.
+    Lost,
+}
+
+/// A centerline point with what the wall says of it.
+#[derive(Debug, Clone)]
+pub struct Station {
+    pub point: Point3<f64>,
+    /// Unit direction of the line.
+    pub tangent: Unit<Vector3<f64>>,
+    /// Where the section's wall puts the point, and how firmly (identity: a full clean section).
+    pub target: Point3<f64>,
+    pub weight: Matrix3<f64>,
+    /// Radius of the circle with the section's area.
+    pub section_radius: f64,
+    /// Radius of the largest inscribed sphere.
+    pub radius: f64,
+    pub sight: Sight,
+    pub shape: WallShape,
+    /// The wall seen from `target`, in `frame`.
+    pub profile: Profile,
+    /// Number of a ring of its track close by.
+    pub ring: usize,
+    pub frame: Frame,
+}
+
+impl Station {
+    /// A station that nothing is known of but its place and a rough radius.
+    pub fn rough(point: Point3<f64>, tangent: Unit<Vector3<f64>>, radius: f64, ring: usize) -> Self {
+        Self {
+            point,
+            tangent,
+            target: point,
+            weight: Matrix3::zeros(),
+            section_radius: radius,
+            radius,
+            shape: WallShape::circle(radius),
+            sight: Sight::Lost,
+            profile: Profile::circle(radius),
+            ring,
+            frame: Frame::new(point, tangent, Vector3::x()),
+        }
+    }
+}
+
+/// One branch: stations in order from `from` to `to`.
+#[derive(Debug, Clone)]
+pub struct Track {
+    /// Node numbers of the component's graph.
+    pub from: usize,
+    pub to: usize,
+    /// Level sets along it, in the same direction.
+    pub rings: Vec<LevelSet>,
+    pub stations: Vec<Station>,
+    /// A sac or stump: one station, in the middle of its dome.
+    pub bulge: bool,
+}
+
+/// The level sets of a chain, one every [`SPACING`] radii. O(edges crossed).
+pub fn rings(surface: &Surface, graph: &ReebGraph, chain: &Chain) -> Vec<LevelSet> {
+    let level = |node: u32| graph.nodes[node as usize].level;
+    let ring =
+        |arc: u32, at: f64| level_set(&surface.mesh.vertices, &surface.corners, graph, arc as usize, at);
+    let mut all = Vec::new();
+    // How far into the next arc the next ring is due.
+    let mut due = 0.0;
+    for &(arc, upward) in &chain.arcs {
+        let (low, high) = (level(graph.arcs[arc as usize].lower), level(graph.arcs[arc as usize].upper));
+        let span = high - low;
+        while due < span {
+            let cut = ring(arc, if upward { low + due } else { high - due });
+            due += (SPACING * cut.radius()).max(1e-3 * span);
+            all.push(cut);
+        }
+        due -= span;
+    }
+    if all.len() < 3 {
+        let span = |arc: u32| level(graph.arcs[arc as usize].upper) - level(graph.arcs[arc as usize].lower);
+        let longest = chain.arcs.iter().max_by(|a, b| span(a.0).total_cmp(&span(b.0)));
+        if let Some(&(arc, upward)) = longest {
+            let low = level(graph.arcs[arc as usize].lower);
+            let share = |i: f64| low + span(arc) * if upward { i } else { 1.0 - i };
+            all = [0.25, 0.5, 0.75].iter().map(|&i| ring(arc, share(i))).collect();
+        }
+    }
+    all
+}
+
+/// Stations at the rings' centres.
+pub fn stations_of(rings: &[LevelSet]) -> Vec<Station> {
+    let points: Vec<Point3<f64>> = rings.iter().map(|ring| ring.centroid).collect();
+    let tangents = tangents(&points);
+    let rough = |(i, ring): (usize, &LevelSet)| Station::rough(points[i], tangents[i], ring.radius(), i);
+    rings.iter().enumerate().map(rough).collect()
+}
+
+/// Unit tangents of a polyline by central differences.
+pub fn tangents(points: &[Point3<f64>]) -> Vec<Unit<Vector3<f64>>> {
+    let n = points.len();
+    (0..n)
+        .map(|i| {
+            let d = points[(i + 1).min(n - 1)] - points[i.saturating_sub(1)];
+            Unit::try_new(d, 0.0).unwrap_or_else(Vector3::z_axis)
+        })
+        .collect()
+}
+
+/// Recomputes the tangents after the points moved.
+pub fn update_tangents(stations: &mut [Station]) {
+    let points: Vec<Point3<f64>> = stations.iter().map(|station| station.point).collect();
+    for (station, tangent) in stations.iter_mut().zip(tangents(&points)) {
+        station.tangent = tangent;
+    }
+}
+
+/// The section around `frame.origin` that one of `rings` leads to: rings are closed curves around
+/// the branch, so where the plane crosses one, it crosses the branch's wall.
+///
+/// Of the polygons found, the smallest that encloses the origin; failing that, the nearest.
+pub fn section_from_rings<'a>(
+    surface: &Surface,
+    frame: Frame,
+    rings: impl Iterator<Item = &'a LevelSet>,
+) -> Option<Section> {
+    let mut nearest: Option<(f64, Section)> = None;
+    let origin = nalgebra::Point2::origin();
+    let mut seen: Vec<u32> = Vec::new();
+    for ring in rings {
+        for seed in crossings(ring, &frame) {
+            if seen.binary_search(&seed).is_ok() {
+                continue;
+            }
+            let Some(cut) = section(surface, frame, seed) else { continue };
+            seen.extend_from_slice(&cut.triangles);
+            seen.sort_unstable();
+            if cut.encloses(&origin) && cut.measure().area > 0.0 {
+                return Some(cut);
+            }
+            let distance = cut.distance(&origin);
+            if nearest.as_ref().is_none_or(|(best, _)| distance < *best) {
+                nearest = Some((distance, cut));
+            }
+        }
+    }
+    nearest.map(|(_, cut)| cut)
+}
+
+/// Triangles of the ring that the plane crosses.
+fn crossings<'a>(ring: &'a LevelSet, frame: &'a Frame) -> impl Iterator<Item = u32> + 'a {
+    let n = ring.points.len();
+    let above = move |i: usize| (ring.points[i % n] - frame.origin).dot(&frame.t) >= 0.0;
+    (0..n).filter(move |&i| above(i) != above(i + 1)).map(move |i| ring.triangles[i])
+}

@@ -1,0 +1,178 @@
+//! What the wall in a section says of the centerline point (section IV.B, eq. 10): the centroid where
+//! the section is clean; where it takes in another branch, the place at which the branch's known wall
+//! fits the part that is seen.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{Matrix2, Matrix3, Point2, Vector2};
+
+use crate::mesh::preparation::Surface;
+
+use super::section::{Profile, Section, signed_angle};
+use super::track::{Sight, Station};
+use super::wall_shape::WallShape;
+
+/// The wall leaves the expected profile beyond this share of the radius.
+const GATE: f64 = 0.25;
+/// Share of the circumference that must agree for a section to be clean.
+const CLEAN: f64 = 0.92;
+/// Share of the circumference below which a partial wall says nothing.
+const LEAST: f64 = 0.12;
+/// Wall whose normal leans more than this (sine) out of the section is a cap or another branch.
+const LEAN: f64 = 0.75;
+
+/// A piece of a section's wall.
+struct WallPiece {
+    middle: Point2<f64>,
+    /// Share of the circumference seen from the centre.
+    share: f64,
+}
+
+/// What part of the expected profile the section's wall shows.
+pub struct Agreement {
+    pieces: Vec<WallPiece>,
+    /// Share of the full circle that agrees.
+    pub support: f64,
+}
+
+/// Compares a section with the profile expected around `centre`; `gate` in local radii.
+fn agreement(
+    surface: &Surface,
+    cut: &Section,
+    centre: Point2<f64>,
+    expected: &Profile,
+    gate: f64,
+) -> Agreement {
+    let mut pieces = Vec::new();
+    let mut support = 0.0;
+    for (p, q, t) in cut.sides() {
+        let middle = nalgebra::center(&p, &q);
+        let arm = middle - centre;
+        let Some(direction) = arm.try_normalize(0.0) else { continue };
+        let Some((normal, lean)) = plane_normal(surface, cut, t) else { continue };
+        let radius = expected.at(&direction);
+        if lean > LEAN || normal.dot(&direction) < 0.6 || (arm.norm() - radius).abs() > gate * radius {
+            continue;
+        }
+        let share = signed_angle(&(p - centre), &(q - centre)).abs() / TAU;
+        support += share;
+        pieces.push(WallPiece { middle, share });
+    }
+    Agreement { pieces, support }
+}
+
+/// A triangle's normal in the section's plane, and how much (sine) it leaned out of it.
+fn plane_normal(surface: &Surface, cut: &Section, t: u32) -> Option<(Vector2<f64>, f64)> {
+    let [a, b, c] = surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize]);
+    let normal = (b - a).cross(&(c - a)).try_normalize(0.0)?;
+    let flat = Vector2::new(normal.dot(&cut.frame.u), normal.dot(&cut.frame.v)).try_normalize(1e-9)?;
+    Some((flat, normal.dot(&cut.frame.t).abs()))
+}
+
+/// Judges a station by its section, expecting the wall `expected` of its neighbour.
+///
+/// Sets target, weight, radii, profile and sight. `expected` is in the section's frame.
+pub fn judge(surface: &Surface, station: &mut Station, cut: &Section, expected: &Profile) {
+    let measure = cut.measure();
+    let mean = expected.mean();
+    let sound = measure.area > 0.0 && cut.encloses(&measure.centroid);
+    let growth = measure.radius() / mean;
+    if sound && (1.0 - GATE..1.0 + GATE).contains(&growth) {
+        let seen = agreement(surface, cut, measure.centroid, &expected.scaled(growth), GATE);
+        if seen.support >= CLEAN {
+            accept_clean(surface, station, cut, measure.centroid, measure.radius());
+            return;
+        }
+    }
+    fit_part(surface, station, cut, expected);
+}
+
+/// Judges a station near an end, where no other branch can take part: a section counts as long as
+/// most of it is wall and not cap.
+pub fn judge_end(surface: &Surface, station: &mut Station, cut: &Section, expected: &Profile) {
+    /// Share of the section's length that must be wall.
+    const WALL: f64 = 0.7;
+    const GROWTH: std::ops::Range<f64> = 0.6..1.5;
+    let measure = cut.measure();
+    let (mut wall, mut all) = (0.0, 0.0);
+    for (p, q, t) in cut.sides() {
+        let length = (q - p).norm();
+        all += length;
+        if plane_normal(surface, cut, t).is_some_and(|(_, lean)| lean <= LEAN) {
+            wall += length;
+        }
+    }
+    let sound = measure.area > 0.0 && cut.encloses(&measure.centroid);
+    if sound && wall > WALL * all && GROWTH.contains(&(measure.radius() / expected.mean())) {
+        accept_clean(surface, station, cut, measure.centroid, measure.radius());
+    }
+}
+
+/// Takes a section as the branch's own.
+pub fn accept_clean(
+    surface: &Surface,
+    station: &mut Station,
+    cut: &Section,
+    centroid: Point2<f64>,
+    radius: f64,
+) {
+    station.frame = cut.frame;
+    station.profile = Profile::of(cut, &centroid, radius);
+    station.target = cut.frame.lift(&centroid);
+    station.weight = Matrix3::identity();
+    station.section_radius = radius;
+    station.shape = WallShape::of(surface, cut, &centroid, radius);
+    station.radius = station.shape.inscribed();
+    station.sight = Sight::Clean;
+}
+
+/// Fits the expected wall to the part of the section that agrees with it, by Gauss-Newton on the
+/// distances along the normals (the partial wall's form of eq. 10).
+fn fit_part(surface: &Surface, station: &mut Station, cut: &Section, expected: &Profile) {
+    let mut centre = Point2::origin();
+    let mean = expected.mean();
+    let mut seen = agreement(surface, cut, centre, expected, 1.6 * GATE);
+    let mut information = Matrix2::zeros();
+    for round in 0..6 {
+        if seen.support < LEAST {
+            break;
+        }
+        information = Matrix2::zeros();
+        let mut pull = Vector2::zeros();
+        for piece in &seen.pieces {
+            let arm = piece.middle - centre;
+            let Some(direction) = arm.try_normalize(0.0) else { continue };
+            let excess = arm.norm() - expected.at(&direction);
+            let doubt = excess / (GATE * mean);
+            let weight = piece.share / (1.0 + doubt * doubt);
+            information += direction * direction.transpose() * (2.0 * weight);
+            pull += direction * (2.0 * weight * excess);
+        }
+        // A weak pull home keeps the direction that no wall pins.
+        let damped = information + Matrix2::identity() * 0.02;
+        let Some(step) = damped.try_inverse().map(|inverse| inverse * pull) else { break };
+        let limit = 0.25 * mean / step.norm().max(0.25 * mean);
+        centre += step * limit;
+        let gate = if round < 2 { 1.6 * GATE } else { GATE };
+        seen = agreement(surface, cut, centre, expected, gate);
+    }
+    station.frame = cut.frame;
+    station.profile = expected.clone();
+    station.section_radius = mean;
+    station.shape = WallShape::circle(mean);
+    station.radius = mean;
+    if seen.support < LEAST || (centre - Point2::origin()).norm() > 0.75 * mean {
+        station.target = station.point;
+        station.weight = Matrix3::zeros();
+        station.sight = Sight::Lost;
+        return;
+    }
+    station.target = cut.frame.lift(&centre);
+    let (u, v) = (cut.frame.u, cut.frame.v);
+    let lifted = u * u.transpose() * information.m11
+        + v * v.transpose() * information.m22
+        + (u * v.transpose() + v * u.transpose()) * information.m12;
+    // The share seen tempers how firmly the part speaks.
+    station.weight = lifted * seen.support;
+    station.sight = Sight::Partial;
+}

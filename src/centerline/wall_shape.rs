@@ -1,0 +1,108 @@
+//! Radius of the largest inscribed sphere at a station, from the wall's vertices around its section.
+//!
+//! A mesh's vertices lie on the wall, its facets cut inside it: a section's polygon makes thin vessels
+//! thinner. So distances of vertices from the axis are fitted with the wall's mean, its slope along the
+//! axis, and its first two harmonics around it; noise and stairs average out.
+
+use nalgebra::{Point2, SMatrix, SVector};
+
+use crate::mesh::preparation::Surface;
+
+use super::section::Section;
+
+/// Terms of the fit: mean, cos, sin, cos 2, sin 2, slope.
+const TERMS: usize = 6;
+
+/// Distance of the wall from the axis around one station.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct WallShape {
+    /// Mean distance.
+    pub mean: f64,
+    /// Second harmonic (ellipse) in the frame of the section.
+    pub ellipse: [f64; 2],
+    /// Change of the distance along the axis.
+    pub slope: f64,
+}
+
+impl WallShape {
+    pub fn circle(radius: f64) -> Self {
+        Self { mean: radius, ..Self::default() }
+    }
+
+    /// Radius of the largest sphere about the station: the short half axis, seen square to the
+    /// sloping wall.
+    pub fn inscribed(&self) -> f64 {
+        let short = self.mean - self.ellipse[0].hypot(self.ellipse[1]);
+        (short / (1.0 + self.slope * self.slope).sqrt()).max(0.05 * self.mean)
+    }
+
+    /// Least squares over the vertices of the triangles that the section crosses, about `centre`.
+    ///
+    /// `radius` is the section's own, for sections of too few vertices.
+    pub fn of(surface: &Surface, cut: &Section, centre: &Point2<f64>, radius: f64) -> Self {
+        let mut vertices: Vec<u32> =
+            cut.triangles.iter().flat_map(|&t| surface.mesh.triangles[t as usize]).collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        let mut normal = SMatrix::<f64, TERMS, TERMS>::zeros();
+        let mut right = SVector::<f64, TERMS>::zeros();
+        let mut count = 0;
+        for v in vertices {
+            let p = surface.mesh.vertices[v as usize];
+            let along = (p - cut.frame.origin).dot(&cut.frame.t);
+            let arm = cut.frame.flat(&p) - centre;
+            let distance = arm.norm();
+            // Far along a long triangle the wall may be anything; far off it is another branch's.
+            if along.abs() > 0.75 * radius || distance <= 0.0 || !(0.4..2.0).contains(&(distance / radius)) {
+                continue;
+            }
+            let (cos, sin) = (arm.x / distance, arm.y / distance);
+            let row = SVector::<f64, TERMS>::from([
+                1.0,
+                cos,
+                sin,
+                cos * cos - sin * sin,
+                2.0 * sin * cos,
+                along / radius,
+            ]);
+            normal += row * row.transpose();
+            right += row * distance;
+            count += 1;
+        }
+        if count < 2 * TERMS {
+            return Self::circle(radius);
+        }
+        // Holds what the vertices leave open (a single ring says nothing of the slope).
+        for i in 1..TERMS {
+            normal[(i, i)] += 5e-4 * count as f64;
+        }
+        let Some(cholesky) = normal.cholesky() else { return Self::circle(radius) };
+        let fit = cholesky.solve(&right);
+        Self { mean: fit[0], ellipse: [fit[3], fit[4]], slope: fit[5] / radius }
+    }
+
+    /// Weighted mean of neighbouring shapes (their frames do not spin).
+    pub fn average<'a>(shapes: impl Iterator<Item = (f64, &'a Self)>) -> Self {
+        let mut sum = Self::default();
+        let mut total = 0.0;
+        for (weight, shape) in shapes {
+            sum.mean += weight * shape.mean;
+            sum.ellipse[0] += weight * shape.ellipse[0];
+            sum.ellipse[1] += weight * shape.ellipse[1];
+            sum.slope += weight * shape.slope;
+            total += weight;
+        }
+        let scale = if total > 0.0 { 1.0 / total } else { 0.0 };
+        Self {
+            mean: sum.mean * scale,
+            ellipse: sum.ellipse.map(|term| term * scale),
+            slope: sum.slope * scale,
+        }
+    }
+
+    /// The same wall seen from the plane's other side (see [`super::section::Profile::mirror`]).
+    pub fn mirror(&mut self) {
+        self.ellipse[1] = -self.ellipse[1];
+        self.slope = -self.slope;
+    }
+}

@@ -1,0 +1,107 @@
+//! `rosaline extract`.
+
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use sha2::{Digest, Sha256};
+
+use crate::centerline::{self, CancelToken, Control, Extraction, Parameters};
+use crate::mesh::format::{self, Hint, Limits};
+use crate::mesh::{TriangleMesh, Units};
+use crate::output::{self, OutputFormat, ResultDocument, Source};
+
+use super::parameters::ParameterArgs;
+use super::progress::{self, Watch};
+use super::{Failure, files};
+
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The surface: STL, OBJ, PLY, glTF, GLB, VTP, VTK or OFF.
+    mesh: PathBuf,
+    /// Where the centerline goes; .json, .glb or .gltf says in which format.
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+    /// Unit of the mesh's coordinates, and so of the result's: mm, cm, m, um or in.
+    #[arg(long, default_value = "mm")]
+    units: Units,
+    /// Threads to compute on; 0 takes every core. The result does not depend on it.
+    #[arg(long, default_value_t = 0)]
+    threads: usize,
+    /// Print the time of each stage, and what was found, to stderr.
+    #[arg(short, long)]
+    verbose: bool,
+    #[command(flatten)]
+    parameters: ParameterArgs,
+}
+
+/// Reads, extracts and writes; `-o` is written whole or not at all.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let output_format = output_format(&args.output)?;
+    files::check_folder(&args.output)?;
+    let parameters = args.parameters.parameters()?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build()?;
+
+    let start = Instant::now();
+    let bytes = files::read(&args.mesh)?;
+    let hint = Hint { extension: args.mesh.extension().and_then(|text| text.to_str()), content_type: None };
+    let (mesh, format) = format::read(&bytes, hint, &Limits::default())?;
+    let sha256 = hexadecimal(&Sha256::digest(&bytes));
+    drop(bytes);
+    let reading = start.elapsed();
+
+    let (extraction, stages) = extract(&mesh, &parameters, &pool)?;
+
+    let start = Instant::now();
+    let name = args.mesh.file_name().map(|name| name.to_string_lossy());
+    let source = Source { name: name.as_deref(), format: format.name(), sha256: &sha256, units: args.units };
+    let document = ResultDocument::new(&extraction, &source, &parameters);
+    files::write(&args.output, &output::write(&document, output_format)?)?;
+    let mut timings = vec![("reading", reading)];
+    timings.extend(stages);
+    timings.push(("writing", start.elapsed()));
+    tell(&document, args.verbose.then(|| progress::table(&timings)));
+    Ok(())
+}
+
+fn output_format(path: &Path) -> Result<OutputFormat, Failure> {
+    let extension = path.extension().and_then(|extension| extension.to_str());
+    extension.and_then(OutputFormat::from_extension).ok_or_else(|| {
+        Failure::new(format!("{} is not a name that ends in .json, .glb or .gltf", path.display()))
+    })
+}
+
+type Timings = Vec<(&'static str, std::time::Duration)>;
+
+fn extract(
+    mesh: &TriangleMesh,
+    parameters: &Parameters,
+    pool: &rayon::ThreadPool,
+) -> Result<(Extraction, Timings), Failure> {
+    let watch = Watch::start();
+    let report = |progress| watch.report(progress);
+    let control = Control::new(CancelToken::new(), &report);
+    let extraction = pool.install(|| centerline::extract(mesh, parameters, &control));
+    let timings = watch.finish();
+    Ok((extraction?, timings))
+}
+
+/// Warnings always go to stderr, the rest only when it was asked for.
+fn tell(document: &ResultDocument, timings: Option<String>) {
+    let mut text = String::new();
+    for warning in &document.warnings {
+        text += &format!("rosaline: warning: {}: {}\n", warning.code, warning.detail);
+    }
+    if let Some(timings) = timings {
+        let ends = document.nodes.iter().filter(|node| node.degree == 1).count();
+        let length: f64 = document.branches.iter().map(|branch| branch.length).sum();
+        let (branches, units) = (document.branches.len(), &document.units);
+        text += &format!("{branches} branches, {ends} ends, {length:.3} {units}\n{timings}");
+    }
+    // A closed stderr leaves nobody to tell.
+    let _ = std::io::stderr().write_all(text.as_bytes());
+}
+
+fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}

@@ -1,0 +1,96 @@
+//! `rosaline serve`: the service with its store and workers in one process.
+
+mod args;
+
+use std::future::Future;
+use std::io::Write;
+use std::sync::Arc;
+
+use tokio::net::TcpListener;
+use tokio::signal::unix::{SignalKind, signal};
+use tracing_subscriber::EnvFilter;
+
+use super::Failure;
+use crate::http::{self, App, Limits};
+use crate::jobs::extraction::Extraction;
+use crate::jobs::{JobService, Settings, log_panics_without_text};
+
+pub use args::Args;
+use args::LogFormat;
+
+/// Serves until SIGTERM or SIGINT.
+///
+/// # Errors
+/// The address is taken, the data folder cannot be used, or the threads cannot be started.
+pub fn run(args: Args) -> Result<(), Failure> {
+    start_log(args.log_format)?;
+    log_panics_without_text();
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    runtime.block_on(serve(args))
+}
+
+async fn serve(args: Args) -> Result<(), Failure> {
+    let stop = stop_signal()?;
+    let listener = TcpListener::bind(&args.listen).await.map_err(|error| {
+        Failure::new(format!(
+            "cannot listen on {}: {error}; choose another address with --listen",
+            args.listen
+        ))
+    })?;
+    let address = listener.local_addr()?;
+    let limits = Limits { upload_bytes: args.max_upload.0, ..Limits::default() };
+    let jobs = JobService::open(settings(&args), Arc::new(Extraction::new(limits.mesh))).await?;
+    let app = App::new(jobs, limits)?;
+    // For people and for scripts that asked for port 0; a closed stdout leaves nobody to tell.
+    let _ = writeln!(std::io::stdout(), "listening on http://{address}");
+    tracing::info!(%address, "ready");
+    http::serve(listener, app, stop, args.grace.0).await?;
+    tracing::info!("stopped");
+    Ok(())
+}
+
+fn settings(args: &Args) -> Settings {
+    let mut settings = Settings::new(&args.data);
+    settings.threads = args.threads.unwrap_or(settings.threads);
+    settings.workers = args.workers.unwrap_or(settings.workers);
+    settings
+}
+
+/// Ready at the first SIGTERM or SIGINT; a second one ends the process at once.
+///
+/// # Errors
+/// The signals cannot be listened for.
+fn stop_signal() -> Result<impl Future<Output = ()>, Failure> {
+    let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
+    let mut next = async move || {
+        tokio::select! {
+            _ = terminate.recv() => {}
+            _ = interrupt.recv() => {}
+        }
+    };
+    Ok(async move {
+        next().await;
+        tracing::info!("stopping: running jobs may finish, a second signal ends at once");
+        tokio::spawn(async move {
+            next().await;
+            tracing::warn!("ended at once; jobs that ran are put back at the next start");
+            std::process::exit(1);
+        });
+    })
+}
+
+/// Logs to stderr what `ROSALINE_LOG` asks for, `info` without it.
+fn start_log(format: LogFormat) -> Result<(), Failure> {
+    let filter = match std::env::var("ROSALINE_LOG") {
+        Ok(text) => EnvFilter::try_new(text).map_err(|error| {
+            Failure::new(format!("ROSALINE_LOG is no filter: {error}; try info or debug"))
+        })?,
+        Err(_) => EnvFilter::new("info"),
+    };
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let started = match format {
+        LogFormat::Text => log.with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr())).try_init(),
+        LogFormat::Json => log.json().try_init(),
+    };
+    started.map_err(|error| Failure::new(format!("the log cannot be started: {error}")))
+}

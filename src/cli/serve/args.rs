@@ -1,0 +1,111 @@
+//! The service's settings: flags, or environment variables of the same name.
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::time::Duration;
+
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Address to listen on; port 0 takes a free one.
+    #[arg(long, env = "ROSALINE_LISTEN", default_value = "127.0.0.1:8080", value_name = "HOST:PORT")]
+    pub listen: String,
+    /// Folder for the jobs' database and files; created where it is missing.
+    #[arg(long, env = "ROSALINE_DATA", default_value = "data", value_name = "DIR")]
+    pub data: PathBuf,
+    /// Jobs that run at once [default: a quarter of the threads, at least 2].
+    #[arg(long, env = "ROSALINE_WORKERS", value_name = "N")]
+    pub workers: Option<NonZeroUsize>,
+    /// Threads that compute, over all workers [default: one a core].
+    #[arg(long, env = "ROSALINE_THREADS", value_name = "N")]
+    pub threads: Option<NonZeroUsize>,
+    /// Largest mesh, in bytes or with KiB, MiB or GiB.
+    #[arg(long, env = "ROSALINE_MAX_UPLOAD", default_value = "1GiB", value_name = "SIZE")]
+    pub max_upload: Size,
+    /// How long running jobs may go on after SIGTERM or SIGINT, in seconds or with s or m.
+    #[arg(long, env = "ROSALINE_GRACE", default_value = "30s", value_name = "TIME")]
+    pub grace: Span,
+    /// Form of the log on stderr.
+    #[arg(long, env = "ROSALINE_LOG_FORMAT", default_value = "text", value_name = "FORMAT")]
+    pub log_format: LogFormat,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum LogFormat {
+    Text,
+    Json,
+}
+
+/// A number of bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Size(pub u64);
+
+impl FromStr for Size {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = || "a size is a whole number, alone or with KiB, MiB or GiB".to_owned();
+        let (number, unit) = number_and_unit(text).ok_or_else(expected)?;
+        let factor: u64 = match unit.to_ascii_lowercase().as_str() {
+            "" | "b" => 1,
+            "k" | "kib" => 1 << 10,
+            "m" | "mib" => 1 << 20,
+            "g" | "gib" => 1 << 30,
+            _ => return Err(expected()),
+        };
+        number.checked_mul(factor).filter(|&bytes| bytes > 0).map(Size).ok_or_else(expected)
+    }
+}
+
+/// A length of time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Span(pub Duration);
+
+impl FromStr for Span {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = || "a time is a whole number of seconds, alone or with s or m".to_owned();
+        let (number, unit) = number_and_unit(text).ok_or_else(expected)?;
+        let factor = match unit {
+            "" | "s" => 1,
+            "m" => 60,
+            _ => return Err(expected()),
+        };
+        let seconds = number.checked_mul(factor).ok_or_else(expected)?;
+        Ok(Span(Duration::from_secs(seconds)))
+    }
+}
+
+/// Splits `30s` into 30 and `s`.
+fn number_and_unit(text: &str) -> Option<(u64, &str)> {
+    let text = text.trim();
+    let end = text.find(|character: char| !character.is_ascii_digit()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(end);
+    Some((number.parse().ok()?, unit.trim()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes() {
+        assert_eq!("1GiB".parse(), Ok(Size(1 << 30)));
+        assert_eq!("200 mib".parse(), Ok(Size(200 << 20)));
+        assert_eq!("4096".parse(), Ok(Size(4096)));
+        for text in ["", "0", "-1", "1.5GiB", "12 apples", "99999999999999GiB"] {
+            assert!(text.parse::<Size>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn times() {
+        assert_eq!("30s".parse(), Ok(Span(Duration::from_secs(30))));
+        assert_eq!("2m".parse(), Ok(Span(Duration::from_secs(120))));
+        assert_eq!("0".parse(), Ok(Span(Duration::ZERO)));
+        for text in ["", "s", "-1", "1h"] {
+            assert!(text.parse::<Span>().is_err(), "{text}");
+        }
+    }
+}

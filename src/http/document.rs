@@ -1,0 +1,129 @@
+//! The OpenAPI document: what the operations declare, and what a macro cannot say of them.
+
+mod body;
+mod examples;
+mod parameters;
+mod problems;
+mod responses;
+
+use utoipa::OpenApi;
+use utoipa::openapi::path::{Operation, PathItem};
+use utoipa::openapi::{Info, License, RefOr, Tag};
+
+use super::{limits, problem, representation, router};
+use crate::output::ResultDocument;
+
+pub use parameters::{
+    AcceptHeader, ConditionHeaders, IfNoneMatchHeader, JobPath, ListParameters, PreferHeader, SubmitQuery,
+};
+pub use problems::{
+    JobProblems, ListProblems, NegotiatedProblems, ReadyProblems, ResultProblems, SubmitProblems,
+};
+pub use responses::{
+    AnyResult, Created, Deleted, Document, GlbResult, GltfResult, Healthy, JsonResult, List, Status,
+};
+
+// Tags.
+pub const JOBS: &str = "jobs";
+pub const RESULTS: &str = "results";
+pub const SERVICE: &str = "service";
+
+/// The schemas that the hand-made parts refer to.
+#[derive(OpenApi)]
+#[openapi(components(schemas(
+    representation::StatusDocument,
+    representation::ListDocument,
+    problem::Details,
+    ResultDocument,
+    super::operations::health::Health
+)))]
+struct Schemas;
+
+/// The document before any operation is in it.
+pub fn base() -> utoipa::openapi::OpenApi {
+    let mut document = Schemas::openapi();
+    document.info = info();
+    document.tags = Some(vec![
+        tag(JOBS, "Meshes in, jobs out"),
+        tag(RESULTS, "Centerlines"),
+        tag(SERVICE, "The service itself"),
+    ]);
+    if let Some(components) = &mut document.components {
+        components.schemas.insert(body::PARAMETERS.to_owned(), RefOr::T(body::parameters_schema()));
+    }
+    document
+}
+
+/// The whole document.
+pub fn document() -> utoipa::openapi::OpenApi {
+    let mut document = router::routes().into_openapi();
+    for item in document.paths.paths.values_mut() {
+        if let Some(post) = &mut item.post {
+            post.request_body = Some(RefOr::T(body::mesh()));
+        }
+        add_head(item);
+    }
+    document
+}
+
+/// The document as it is served and committed.
+pub fn yaml() -> String {
+    // Strings, numbers and maps with string keys: always expressible in YAML.
+    document().to_yaml().unwrap_or_default()
+}
+
+/// Whatever can be got answers HEAD too: the same, without a body.
+fn add_head(item: &mut PathItem) {
+    let Some(get) = &item.get else { return };
+    let mut head: Operation = get.clone();
+    head.operation_id =
+        head.operation_id.map(|id| id.replacen("get", "head", 1).replacen("list", "headList", 1));
+    head.summary = head.summary.map(|summary| format!("{summary}: the headers only"));
+    head.description = None;
+    head.responses.responses.remove("206");
+    head.responses.responses.remove("416");
+    for response in head.responses.responses.values_mut() {
+        if let RefOr::T(response) = response {
+            response.content.clear();
+        }
+    }
+    item.head = Some(head);
+}
+
+fn tag(name: &str, description: &str) -> Tag {
+    let mut tag = Tag::new(name);
+    tag.description = Some(description.to_owned());
+    tag
+}
+
+fn info() -> Info {
+    let mut info = Info::new("Rosaline", env!("CARGO_PKG_VERSION"));
+    info.license = Some({
+        let mut license = License::new("Apache License 2.0");
+        license.identifier = Some("Apache-2.0".to_owned());
+        license
+    });
+    info.description = Some(description());
+    info
+}
+
+fn description() -> String {
+    let limits = limits::Limits::default();
+    let mut text = format!(
+        "Centerlines of blood vessels from their surface meshes.\n\n\
+         Post a mesh, follow its job, get the centerline. A job is durable once it is answered with 201.\n\n\
+         Errors are problem details (RFC 9457) whose `type` is `{prefix}` and one of the words below; a failed \
+         job's `error` has the words of the method's own failures too (`no-triangles`, `all-degenerate`, \
+         `not-tubular`, `undersampled`, `not-manifold`). A word never changes its meaning.\n\n\
+         | word | status | title |\n| --- | --- | --- |\n",
+        prefix = problem::TYPE_PREFIX,
+    );
+    for kind in problem::ALL {
+        text.push_str(&format!("| {} | {} | {} |\n", kind.word, kind.status.as_u16(), kind.title));
+    }
+    text.push_str(&format!(
+        "\nUnless the operator sets other limits, an upload may have {} bytes, a mesh {} vertices and {} triangles.",
+        limits.upload_bytes, limits.mesh.vertices, limits.mesh.triangles
+    ));
+    text
+}

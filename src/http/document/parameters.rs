@@ -1,0 +1,189 @@
+//! Parameters of the operations; the method's come from its table.
+
+use serde_json::{Value, json};
+use utoipa::IntoParams;
+use utoipa::openapi::Required;
+use utoipa::openapi::path::{Parameter, ParameterBuilder, ParameterIn};
+use utoipa::openapi::schema::{KnownFormat, Object, ObjectBuilder, SchemaFormat, Type};
+
+use super::super::limits::Limits;
+use super::super::parameters::{NAME, PRESET, UNITS};
+use super::super::prefer::PREFER;
+use crate::centerline::{ParameterKind, ParameterSpec, Preset, TABLE};
+use crate::jobs::JobStatus;
+use crate::mesh::Units;
+use crate::output::OutputFormat;
+
+/// A list of parameters as a type that an operation can name.
+macro_rules! parameters {
+    ($($(#[$doc:meta])* $name:ident => $list:expr;)+) => {$(
+        $(#[$doc])*
+        pub struct $name;
+
+        impl IntoParams for $name {
+            fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
+                $list
+            }
+        }
+    )+};
+}
+
+parameters! {
+    /// The id in a job's path.
+    JobPath => vec![job_id()];
+    /// What a submission takes in its query.
+    SubmitQuery => job_parameters().into_iter().map(|(name, schema)| query(&name, schema)).collect();
+    /// Filters and paging of the list.
+    ListParameters => list();
+    PreferHeader => vec![header(
+        PREFER.as_str(),
+        "`wait=N` answers once the job has ended, or after N seconds, at most 60 (RFC 7240)",
+        text(),
+        json!("wait=10"),
+    )];
+    AcceptHeader => vec![header(
+        "Accept",
+        "Media types with their q-values; JSON where it is missing",
+        text(),
+        json!(OutputFormat::Glb.media_type()),
+    )];
+    IfNoneMatchHeader => vec![if_none_match()];
+    /// Conditions and ranges of a result.
+    ConditionHeaders => vec![
+        if_none_match(),
+        header("Range", "One range of bytes; several are answered whole", text(), json!("bytes=0-1023")),
+        header("If-Range", "The `ETag` for which `Range` applies", text(), json!(ETAG)),
+    ];
+}
+
+/// An entity tag in examples.
+pub const ETAG: &str = "\"9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08\"";
+
+/// Text without control characters.
+const NO_CONTROL: &str = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$";
+
+/// Name and schema of everything that a job can be asked with, in the query or in a form.
+pub fn job_parameters() -> Vec<(String, Object)> {
+    let units = words(Units::ALL.iter().map(|units| units.name()), Units::default().name());
+    let presets = words(Preset::NAMES.into_iter(), Preset::default().name());
+    let name = ObjectBuilder::new().schema_type(Type::String).max_length(Some(Limits::default().name_chars));
+    let mut list = vec![
+        (
+            UNITS.to_owned(),
+            units.description(Some("Unit of the mesh's coordinates; the result keeps it")).build(),
+        ),
+        (
+            NAME.to_owned(),
+            name.min_length(Some(1))
+                .pattern(Some(NO_CONTROL))
+                .description(Some("For the result's `source.name`; the file name of a form's part by default"))
+                .build(),
+        ),
+        (
+            PRESET.to_owned(),
+            presets
+                .description(Some(
+                    "`default` is scaled to the local radius and edge length; `paper` has the paper's constants",
+                ))
+                .build(),
+        ),
+    ];
+    list.extend(TABLE.iter().map(|spec| (spec.name.to_owned(), row(spec))));
+    list
+}
+
+/// A row of the method's table.
+fn row(spec: &ParameterSpec) -> Object {
+    let preset = if spec.paper == spec.default {
+        String::new()
+    } else {
+        format!("; {} with the preset `paper`", spec.paper)
+    };
+    let (object, description) = match spec.kind {
+        ParameterKind::Number { min, max } => (
+            ObjectBuilder::new()
+                .schema_type(Type::Number)
+                .format(Some(SchemaFormat::KnownFormat(KnownFormat::Double)))
+                .minimum(Some(min))
+                .maximum(Some(max))
+                .default(Some(json!(spec.default))),
+            format!("{}. Unit: {}. Default: {}{preset}", spec.doc, spec.unit, spec.default),
+        ),
+        ParameterKind::Flag => (
+            ObjectBuilder::new().schema_type(Type::Boolean).default(Some(json!(spec.default != 0.0))),
+            spec.doc.to_owned(),
+        ),
+    };
+    object.description(Some(description)).build()
+}
+
+fn list() -> Vec<Parameter> {
+    let limits = Limits::default();
+    let statuses = ObjectBuilder::new()
+        .schema_type(Type::String)
+        .enum_values(Some(JobStatus::ALL.iter().map(|status| status.name())))
+        .description(Some("Only jobs in this state"));
+    let limit = ObjectBuilder::new()
+        .schema_type(Type::Integer)
+        .minimum(Some(1_u32))
+        .maximum(Some(limits.page_most))
+        .default(Some(json!(limits.page_default)))
+        .description(Some("Jobs on a page"));
+    let cursor = uuid().description(Some("Where the page begins: follow `Link` rather than make one"));
+    vec![query("status", statuses.build()), query("limit", limit.build()), query("cursor", cursor.build())]
+}
+
+fn job_id() -> Parameter {
+    ParameterBuilder::new()
+        .name("id")
+        .parameter_in(ParameterIn::Path)
+        .required(Required::True)
+        .description(Some("The job's id, as its submission answered it"))
+        .schema(Some(uuid().build()))
+        .example(Some(json!("019aa8b6-7a42-7d52-8d53-2f8ad3a2b9c1")))
+        .build()
+}
+
+fn if_none_match() -> Parameter {
+    header("If-None-Match", "`ETag`s that the client has: 304 when one fits", text(), json!(ETAG))
+}
+
+fn query(name: &str, mut schema: Object) -> Parameter {
+    let description = schema.description.take();
+    ParameterBuilder::new()
+        .name(name)
+        .parameter_in(ParameterIn::Query)
+        .required(Required::False)
+        .description(description)
+        .schema(Some(schema))
+        .build()
+}
+
+fn header(name: &str, description: &str, schema: Object, example: Value) -> Parameter {
+    ParameterBuilder::new()
+        .name(name)
+        .parameter_in(ParameterIn::Header)
+        .required(Required::False)
+        .description(Some(description))
+        .schema(Some(schema))
+        .example(Some(example))
+        .build()
+}
+
+fn text() -> Object {
+    ObjectBuilder::new().schema_type(Type::String).build()
+}
+
+/// The text of a job's id, a UUID version 7 (RFC 9562).
+const JOB_ID: &str = "^[0-9a-f]{8}-[0-9a-f]{4}-7[0-9a-f]{3}-[89ab][0-9a-f]{3}-[0-9a-f]{12}$";
+
+fn uuid() -> ObjectBuilder {
+    ObjectBuilder::new()
+        .schema_type(Type::String)
+        .format(Some(SchemaFormat::KnownFormat(KnownFormat::Uuid)))
+        .pattern(Some(JOB_ID))
+}
+
+fn words(list: impl Iterator<Item = &'static str>, default: &str) -> ObjectBuilder {
+    ObjectBuilder::new().schema_type(Type::String).enum_values(Some(list)).default(Some(json!(default)))
+}

@@ -1,0 +1,44 @@
+//! Every bound of the service, in one type.
+
+use std::time::Duration;
+
+use crate::mesh::format;
+
+/// What one request may use, and for how long.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// Bytes of one upload's mesh.
+    pub upload_bytes: u64,
+    /// Bytes of the `parameters` part of a multipart upload.
+    pub parameters_bytes: usize,
+    /// An upload that sends nothing for this long is given up.
+    pub upload_idle: Duration,
+    /// Meshes that are checked at the same time; further uploads wait their turn.
+    pub validations: usize,
+    /// The largest mesh that is read.
+    pub mesh: format::Limits,
+    /// The longest that `Prefer: wait` is honoured.
+    pub wait: Duration,
+    /// Jobs on one page of the list, where the client does not say.
+    pub page_default: u32,
+    /// The most jobs on one page of the list.
+    pub page_most: u32,
+    /// Characters of a source name.
+    pub name_chars: usize,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            upload_bytes: 1 << 30,
+            parameters_bytes: 64 << 10,
+            upload_idle: Duration::from_secs(30),
+            validations: 2,
+            mesh: format::Limits::default(),
+            wait: Duration::from_secs(60),
+            page_default: 50,
+            page_most: 500,
+            name_chars: 255,
+        }
+    }
+}

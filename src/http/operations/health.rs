@@ -1,0 +1,66 @@
+//! `GET /healthz` and `GET /readyz`
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::super::App;
+use super::super::document::{self, ReadyProblems};
+use super::super::problem::{NOT_READY, Problem};
+
+/// Seconds after which to ask again.
+const RETRY_AFTER: u32 = 5;
+
+/// A service that answers.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Health {
+    /// `ok`, or `ready` where it was asked whether it is.
+    #[schema(example = "ok")]
+    status: &'static str,
+    /// Version of Rosaline.
+    #[schema(example = "0.1.0")]
+    version: &'static str,
+}
+
+impl Health {
+    fn response(status: &'static str) -> Response {
+        let body = Json(Self { status, version: env!("CARGO_PKG_VERSION") });
+        ([(header::CACHE_CONTROL, "no-store")], body).into_response()
+    }
+}
+
+/// Whether the process is alive
+///
+/// Touches neither the store nor the workers: when this fails, restart the service.
+#[utoipa::path(
+    get,
+    path = "/healthz",
+    operation_id = "getHealth",
+    tag = document::SERVICE,
+    responses(document::Healthy)
+)]
+pub async fn healthz() -> Response {
+    Health::response("ok")
+}
+
+/// Whether the service takes jobs
+///
+/// Tries the job store and the disk. When this fails, send no requests; the problem's `reasons` say why.
+#[utoipa::path(
+    get,
+    path = "/readyz",
+    operation_id = "getReadiness",
+    tag = document::SERVICE,
+    responses(document::Healthy, ReadyProblems)
+)]
+pub async fn readyz(State(app): State<App>) -> Result<Response, Problem> {
+    match app.jobs().ready().await {
+        Ok(()) => Ok(Health::response("ready")),
+        Err(unready) => Err(Problem::new(&NOT_READY, unready.to_string())
+            .with("reasons", unready.reasons)
+            .header(header::RETRY_AFTER, RETRY_AFTER)),
+    }
+}

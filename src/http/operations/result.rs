@@ -1,0 +1,189 @@
+//! `GET /v1/jobs/{id}/results/centerline`, and with an extension.
+
+use std::ops::Range;
+
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+
+use super::super::document::{self, NegotiatedProblems, ResultProblems};
+use super::super::etag::ETag;
+use super::super::problem::{NOT_ACCEPTABLE, Problem, RANGE_NOT_SATISFIABLE};
+use super::super::{App, negotiation, range};
+use super::status::RETRY_AFTER;
+use super::{Asked, Id};
+use crate::jobs::blob::{BlobError, BlobReader};
+use crate::jobs::{JobError, JobId, StoredArtifact};
+use crate::output::OutputFormat;
+
+/// Results never change under their URL; they may be patient data, so only the client's own cache keeps them.
+const CACHE_CONTROL: HeaderValue = HeaderValue::from_static("private, max-age=31536000, immutable");
+
+/// A job's centerline in the form that `Accept` asks for
+///
+/// JSON where the client has no preference. The line lies in the mesh's own unit and frame. Once it is there it
+/// never changes: it has a strong `ETag` and may be kept.
+#[utoipa::path(
+    get,
+    path = "/v1/jobs/{id}/results/centerline",
+    operation_id = "getCenterline",
+    tag = document::RESULTS,
+    params(document::JobPath, document::AcceptHeader, document::ConditionHeaders),
+    responses(document::AnyResult, NegotiatedProblems)
+)]
+pub async fn negotiated(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<Response, Problem> {
+    // First whether there is a result at all: that does not depend on the form.
+    app.jobs().result(id, OutputFormat::Json).await.map_err(unavailable)?;
+    let offers: Vec<&str> = OutputFormat::ALL.iter().map(|format| format.media_type()).collect();
+    let choice = negotiation::preferred(&asked.headers, &offers);
+    let Some(format) = choice.and_then(|place| OutputFormat::ALL.get(place)) else {
+        let detail = format!("the centerline is there as {}", offers.join(", "));
+        return Err(Problem::new(&NOT_ACCEPTABLE, detail)
+            .with("available", offers)
+            .header(header::VARY, "accept")
+            .about(id));
+    };
+    let mut response = answer(&app, id, *format, &asked).await?;
+    response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept"));
+    if let Ok(location) =
+        HeaderValue::try_from(format!("/v1/jobs/{id}/results/centerline.{}", format.extension()))
+    {
+        response.headers_mut().insert(header::CONTENT_LOCATION, location);
+    }
+    Ok(response)
+}
+
+/// A job's centerline as JSON
+#[utoipa::path(
+    get,
+    path = "/v1/jobs/{id}/results/centerline.json",
+    operation_id = "getCenterlineJson",
+    tag = document::RESULTS,
+    params(document::JobPath, document::ConditionHeaders),
+    responses(document::JsonResult, ResultProblems)
+)]
+pub async fn json(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<Response, Problem> {
+    answer(&app, id, OutputFormat::Json, &asked).await
+}
+
+/// A job's centerline as glTF
+///
+/// A line strip for each branch with a `_RADIUS` attribute, in the mesh's own frame; buffers are embedded.
+#[utoipa::path(
+    get,
+    path = "/v1/jobs/{id}/results/centerline.gltf",
+    operation_id = "getCenterlineGltf",
+    tag = document::RESULTS,
+    params(document::JobPath, document::ConditionHeaders),
+    responses(document::GltfResult, ResultProblems)
+)]
+pub async fn gltf(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<Response, Problem> {
+    answer(&app, id, OutputFormat::Gltf, &asked).await
+}
+
+/// A job's centerline as binary glTF
+///
+/// A line strip for each branch with a `_RADIUS` attribute, in the mesh's own frame.
+#[utoipa::path(
+    get,
+    path = "/v1/jobs/{id}/results/centerline.glb",
+    operation_id = "getCenterlineGlb",
+    tag = document::RESULTS,
+    params(document::JobPath, document::ConditionHeaders),
+    responses(document::GlbResult, ResultProblems)
+)]
+pub async fn glb(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<Response, Problem> {
+    answer(&app, id, OutputFormat::Glb, &asked).await
+}
+
+async fn answer(app: &App, id: JobId, format: OutputFormat, asked: &Asked) -> Result<Response, Problem> {
+    let artifact = app.jobs().result(id, format).await.map_err(unavailable)?;
+    let etag = ETag::of_digest(&artifact.sha256);
+    let headers = &asked.headers;
+    let mut response = if etag.is_known_to(headers) {
+        StatusCode::NOT_MODIFIED.into_response()
+    } else if asked.method == Method::HEAD {
+        described(StatusCode::OK, &artifact, artifact.size, Body::empty())
+    } else {
+        match asked_part(headers, &etag, artifact.size) {
+            range::Asked::Whole => whole(app, id, &artifact).await?,
+            range::Asked::Part(part) => partial(app, id, &artifact, part).await?,
+            range::Asked::Unsatisfiable => return Err(unsatisfiable(id, artifact.size)),
+        }
+    };
+    response.headers_mut().insert(header::CACHE_CONTROL, CACHE_CONTROL);
+    if let Some(etag) = etag.header() {
+        response.headers_mut().insert(header::ETAG, etag);
+    }
+    Ok(response)
+}
+
+fn asked_part(headers: &HeaderMap, etag: &ETag, length: u64) -> range::Asked {
+    match headers.get(header::RANGE).and_then(|value| value.to_str().ok()) {
+        Some(value) if etag.allows_range(headers) => range::asked(value, length),
+        _ => range::Asked::Whole,
+    }
+}
+
+/// A result that is purged while it is asked for is a job that is not there.
+async fn open(
+    app: &App,
+    id: JobId,
+    artifact: &StoredArtifact,
+    part: Option<Range<u64>>,
+) -> Result<BlobReader, Problem> {
+    match app.jobs().open_result(artifact, part).await {
+        Err(error @ JobError::Blob(BlobError::NotFound { .. })) => {
+            app.jobs().status(id).await?;
+            Err(error.into())
+        }
+        opened => Ok(opened?),
+    }
+}
+
+async fn whole(app: &App, id: JobId, artifact: &StoredArtifact) -> Result<Response, Problem> {
+    let blob = open(app, id, artifact, None).await?;
+    Ok(described(StatusCode::OK, artifact, blob.size, Body::from_stream(blob.stream)))
+}
+
+async fn partial(
+    app: &App,
+    id: JobId,
+    artifact: &StoredArtifact,
+    part: Range<u64>,
+) -> Result<Response, Problem> {
+    let blob = open(app, id, artifact, Some(part.clone())).await?;
+    let length = part.end - part.start;
+    let mut response =
+        described(StatusCode::PARTIAL_CONTENT, artifact, length, Body::from_stream(blob.stream));
+    if let Ok(value) = HeaderValue::try_from(range::content_range(&part, blob.size)) {
+        response.headers_mut().insert(header::CONTENT_RANGE, value);
+    }
+    Ok(response)
+}
+
+fn described(status: StatusCode, artifact: &StoredArtifact, length: u64, body: Body) -> Response {
+    let mut response = (status, body).into_response();
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(artifact.format.media_type()));
+    headers.insert(header::CONTENT_LENGTH, HeaderValue::from(length));
+    headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
+    headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    response
+}
+
+fn unsatisfiable(id: JobId, length: u64) -> Problem {
+    Problem::new(&RANGE_NOT_SATISFIABLE, format!("the result has {length} bytes; ask for some of those"))
+        .with("length", length)
+        .header(header::CONTENT_RANGE, range::content_range_unsatisfied(length))
+        .header(header::ACCEPT_RANGES, "bytes")
+        .about(id)
+}
+
+/// Of an active job: when to ask again.
+fn unavailable(error: JobError) -> Problem {
+    let is_early = matches!(error, JobError::NotReady { .. });
+    let problem = Problem::from(error);
+    if is_early { problem.header(header::RETRY_AFTER, RETRY_AFTER) } else { problem }
+}

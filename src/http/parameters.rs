@@ -1,0 +1,183 @@
+//! A job's parameters, from the query or from the `parameters` part of a multipart upload.
+
+use std::str::FromStr;
+
+use serde_json::Value;
+
+use super::limits::Limits;
+use super::problem::{INVALID_PARAMETER, MALFORMED_REQUEST, Problem, UNKNOWN_PARAMETER};
+use crate::centerline::{ParameterError, ParameterKind, Parameters, Preset, TABLE};
+use crate::jobs::FileName;
+use crate::mesh::Units;
+
+/// Names that are no rows of the method's table.
+pub const UNITS: &str = "units";
+pub const NAME: &str = "name";
+pub const PRESET: &str = "preset";
+const OTHERS: [&str; 3] = [UNITS, NAME, PRESET];
+
+/// What a client asks of the job, beside the mesh.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Asked {
+    pub units: Units,
+    pub name: Option<FileName>,
+    pub parameters: Parameters,
+}
+
+impl Asked {
+    /// From name and value pairs, as the query gives them.
+    ///
+    /// # Errors
+    /// A 400 that names the parameter: unknown, given twice, or with a value that it cannot take.
+    pub fn from_pairs(pairs: &[(String, String)], limits: &Limits) -> Result<Self, Problem> {
+        for (place, (name, _)) in pairs.iter().enumerate() {
+            if pairs[..place].iter().any(|(other, _)| other == name) {
+                return Err(invalid(name, format!("{name} is given twice; give it once")));
+            }
+        }
+        let value =
+            |wanted: &str| pairs.iter().find(|(name, _)| name == wanted).map(|(_, value)| value.as_str());
+        let units: Units = word(UNITS, value(UNITS))?;
+        let preset: Preset = word(PRESET, value(PRESET))?;
+        let mut parameters = Parameters::of(preset);
+        let rows = pairs.iter().filter(|(name, _)| !OTHERS.contains(&name.as_str()));
+        for (name, text) in rows {
+            parameters.set(name, text).map_err(|error| match error {
+                ParameterError::Unknown { .. } => unknown(name),
+                ParameterError::UnknownPreset { .. } | ParameterError::Value { .. } => {
+                    invalid(name, error.to_string())
+                }
+            })?;
+        }
+        let name = value(NAME).map(|name| source_name(name, limits)).transpose()?.flatten();
+        Ok(Self { units, name, parameters })
+    }
+}
+
+/// Name and value pairs of a JSON object with the same names: `{"units": "mm", "omega": 0.8, "smoothing": true}`.
+///
+/// # Errors
+/// A 400 when it is no such object.
+pub fn json_pairs(bytes: &[u8]) -> Result<Vec<(String, String)>, Problem> {
+    let malformed = |detail: String| Problem::new(&MALFORMED_REQUEST, detail);
+    let value: Value = serde_json::from_slice(bytes)
+        .map_err(|error| malformed(format!("the part 'parameters' is not JSON: {error}")))?;
+    let Value::Object(members) = value else {
+        return Err(malformed("the part 'parameters' is not a JSON object".to_owned()));
+    };
+    let mut pairs = Vec::new();
+    for (name, value) in members {
+        let kind = TABLE.iter().find(|spec| spec.name == name).map(|spec| spec.kind);
+        let text = match (kind, value) {
+            (Some(ParameterKind::Number { .. }), Value::Number(number)) => number.to_string(),
+            (Some(ParameterKind::Flag), Value::Bool(flag)) => flag.to_string(),
+            (None, Value::String(text)) => text,
+            (Some(ParameterKind::Number { .. }), _) => return Err(wrong_type(&name, "a number")),
+            (Some(ParameterKind::Flag), _) => return Err(wrong_type(&name, "true or false")),
+            (None, _) if OTHERS.contains(&name.as_str()) => return Err(wrong_type(&name, "a text")),
+            (None, _) => return Err(unknown(&name)),
+        };
+        pairs.push((name, text));
+    }
+    Ok(pairs)
+}
+
+/// Without folders: a browser's file name may carry the path of a client's machine. `None`: only folders.
+///
+/// # Errors
+/// A 400 when it is empty, too long, or holds control characters.
+pub fn source_name(name: &str, limits: &Limits) -> Result<Option<FileName>, Problem> {
+    if name.is_empty() || name.chars().count() > limits.name_chars || name.chars().any(char::is_control) {
+        let expected = format!("a name has 1 to {} characters and no control characters", limits.name_chars);
+        return Err(invalid(NAME, expected));
+    }
+    let last = name.rsplit(['/', '\\']).next().unwrap_or_default().trim();
+    Ok(if last.is_empty() { None } else { Some(FileName::new(last)) })
+}
+
+/// The value of a parameter that takes one of a few words; its default where it is not given.
+fn word<T: FromStr<Err: ToString> + Default>(name: &str, text: Option<&str>) -> Result<T, Problem> {
+    text.map_or(Ok(T::default()), |text| {
+        text.parse().map_err(|error: T::Err| invalid(name, error.to_string()))
+    })
+}
+
+/// Enough of a name to find it by.
+fn shown(name: &str) -> String {
+    name.chars().take(40).collect()
+}
+
+fn invalid(name: &str, detail: String) -> Problem {
+    Problem::new(&INVALID_PARAMETER, detail).with("parameter", shown(name))
+}
+
+fn wrong_type(name: &str, expected: &str) -> Problem {
+    invalid(name, format!("in JSON, {name} is {expected}"))
+}
+
+fn unknown(name: &str) -> Problem {
+    let known: Vec<&str> = OTHERS.into_iter().chain(TABLE.iter().map(|spec| spec.name)).collect();
+    let detail = format!("there is no parameter '{}'; the known ones are {}", shown(name), known.join(", "));
+    Problem::new(&UNKNOWN_PARAMETER, detail).with("parameter", shown(name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pairs(list: &[(&str, &str)]) -> Result<Asked, Value> {
+        let pairs: Vec<_> = list.iter().map(|(name, value)| (name.to_string(), value.to_string())).collect();
+        Asked::from_pairs(&pairs, &Limits::default())
+            .map_err(|problem| serde_json::to_value(problem).unwrap())
+    }
+
+    #[test]
+    fn a_query_sets_what_it_names_over_its_preset() {
+        let asked =
+            pairs(&[("omega", "0.8"), ("units", "cm"), ("preset", "paper"), ("name", "C:\\x\\aorta.stl")]);
+        let asked = asked.unwrap();
+        assert_eq!(asked.units, "cm".parse().unwrap());
+        assert_eq!(asked.parameters.preset(), Preset::Paper);
+        assert_eq!(asked.parameters.omega(), 0.8);
+        assert_eq!(asked.name.unwrap().expose(), "aorta.stl");
+    }
+
+    #[test]
+    fn refusals_name_the_parameter() {
+        for (list, kind, name) in [
+            (vec![("omgea", "0.8")], "unknown-parameter", "omgea"),
+            (vec![("omega", "7")], "invalid-parameter", "omega"),
+            (vec![("omega", "NaN")], "invalid-parameter", "omega"),
+            (vec![("units", "furlong")], "invalid-parameter", "units"),
+            (vec![("preset", "best")], "invalid-parameter", "preset"),
+            (vec![("name", "a\nb")], "invalid-parameter", "name"),
+            (vec![("mu", "0.5"), ("mu", "0.5")], "invalid-parameter", "mu"),
+        ] {
+            let problem = pairs(&list).unwrap_err();
+            assert_eq!(problem["type"], format!("urn:rosaline:problem:{kind}"), "{list:?}");
+            assert_eq!(problem["parameter"], name);
+            assert_eq!(problem["status"], 400);
+        }
+    }
+
+    #[test]
+    fn json_takes_the_same_names() {
+        let json = br#"{"units": "um", "omega": 0.8, "smoothing": true}"#;
+        let asked = Asked::from_pairs(&json_pairs(json).unwrap(), &Limits::default()).unwrap();
+        let query = pairs(&[("units", "um"), ("omega", "0.8"), ("smoothing", "true")]).unwrap();
+        assert_eq!(asked, query);
+        for bad in [
+            &b"[1]"[..],
+            b"{",
+            b"",
+            b"\xff",
+            br#"{"omega": [1]}"#,
+            br#"{"omega": "0.8"}"#,
+            br#"{"smoothing": 1}"#,
+            br#"{"name": null}"#,
+            br#"{"omgea": 1}"#,
+        ] {
+            assert!(json_pairs(bad).is_err());
+        }
+    }
+}

@@ -1,0 +1,48 @@
+//! Failures of the queue as problems.
+
+use axum::http::header;
+
+use super::{
+    INTERNAL_ERROR, JOB_DISMISSED, JOB_NOT_FOUND, NOT_READY, Problem, RESULT_NOT_READY, STORAGE_FULL,
+};
+use crate::jobs::JobError;
+use crate::jobs::blob::BlobError;
+use crate::jobs::store::StoreError;
+
+/// Seconds after which a client should come back to a service that is restarting.
+const RETRY_AFTER_RESTART: u32 = 10;
+
+impl From<JobError> for Problem {
+    fn from(error: JobError) -> Self {
+        match error {
+            JobError::NotFound { id } => job_not_found().about(id),
+            JobError::NotReady { id, status } => {
+                let detail = format!("the job is {status}; ask again once its status is successful");
+                Problem::new(&RESULT_NOT_READY, detail).with("job_status", status.name()).about(id)
+            }
+            JobError::Dismissed { id } => {
+                Problem::new(&JOB_DISMISSED, "the job was cancelled; post the mesh again").about(id)
+            }
+            JobError::Failed { id, failure } => Problem::from(failure.as_ref()).about(id),
+            JobError::ShuttingDown => {
+                Problem::new(&NOT_READY, error.to_string()).header(header::RETRY_AFTER, RETRY_AFTER_RESTART)
+            }
+            JobError::Store(StoreError::Full(_)) | JobError::Blob(BlobError::Full) => Problem::new(
+                &STORAGE_FULL,
+                "the service's disk is full; try again when its operator has made room",
+            ),
+            error => internal(&error),
+        }
+    }
+}
+
+/// Also for ids that cannot be one: whether an id is well formed is the service's own affair.
+pub fn job_not_found() -> Problem {
+    Problem::new(&JOB_NOT_FOUND, "no job has this id; it may have been deleted")
+}
+
+/// Logs the cause, which may name folders of the server, and tells the client only that there was one.
+fn internal(error: &JobError) -> Problem {
+    tracing::error!(%error, "a request failed");
+    Problem::new(&INTERNAL_ERROR, "the service is at fault, not the request; its log has the cause")
+}

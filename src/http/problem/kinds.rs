@@ -1,0 +1,52 @@
+//! Every kind of problem that the service answers with, beside the failures that jobs store.
+
+use axum::http::StatusCode;
+
+use super::Kind;
+
+/// Declares the kinds and the list of them all.
+macro_rules! kinds {
+    ($($name:ident = $status:ident, $word:literal, $title:literal;)+) => {
+        $(pub const $name: Kind = Kind { word: $word, status: StatusCode::$status, title: $title };)+
+
+        /// Every kind, for the API's documentation.
+        pub const ALL: &[Kind] = &[$($name),+];
+    };
+}
+
+kinds! {
+    // Requests.
+    MALFORMED_REQUEST = BAD_REQUEST, "malformed-request", "The request cannot be read";
+    UNKNOWN_PARAMETER = BAD_REQUEST, "unknown-parameter", "There is no such parameter";
+    INVALID_PARAMETER = BAD_REQUEST, "invalid-parameter", "A parameter has a value that it cannot take";
+    UPLOAD_INCOMPLETE = BAD_REQUEST, "upload-incomplete", "The upload broke off";
+    NOT_FOUND = NOT_FOUND, "not-found", "There is nothing at this path";
+    JOB_NOT_FOUND = NOT_FOUND, "job-not-found", "There is no such job";
+    RESULT_NOT_READY = NOT_FOUND, "result-not-ready", "The job has no result yet";
+    JOB_DISMISSED = NOT_FOUND, "job-dismissed", "The job was cancelled and has no result";
+    METHOD_NOT_ALLOWED = METHOD_NOT_ALLOWED, "method-not-allowed", "The method does not apply to this path";
+    NOT_ACCEPTABLE = NOT_ACCEPTABLE, "not-acceptable", "The result has no form that the client accepts";
+    UPLOAD_TIMEOUT = REQUEST_TIMEOUT, "upload-timeout", "The upload stood still for too long";
+    UPLOAD_TOO_LARGE = PAYLOAD_TOO_LARGE, "upload-too-large", "The upload is larger than the limit";
+    UNSUPPORTED_MEDIA_TYPE = UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type",
+        "The content type is not one that jobs are made from";
+    RANGE_NOT_SATISFIABLE = RANGE_NOT_SATISFIABLE, "range-not-satisfiable",
+        "The range lies outside of the result";
+    // Meshes, in the words of the readers' errors.
+    EMPTY = BAD_REQUEST, "empty", "The upload is empty";
+    UNSUPPORTED_FORMAT = UNSUPPORTED_MEDIA_TYPE, "unsupported-format", "The content is not a mesh format";
+    TRUNCATED = BAD_REQUEST, "truncated", "The mesh file ends early";
+    MALFORMED = BAD_REQUEST, "malformed", "The mesh file breaks its format's rules";
+    NON_FINITE_COORDINATE = UNPROCESSABLE_ENTITY, "non-finite-coordinate",
+        "The mesh has a coordinate that is not a finite number";
+    INDEX_OUT_OF_RANGE = UNPROCESSABLE_ENTITY, "index-out-of-range",
+        "The mesh has a face that refers to a missing vertex";
+    NO_POLYGONS = UNPROCESSABLE_ENTITY, "no-polygons", "The mesh file holds no polygons";
+    UNSUPPORTED_FEATURE = UNPROCESSABLE_ENTITY, "unsupported-feature",
+        "The mesh file uses a feature that is not read";
+    MESH_TOO_LARGE = PAYLOAD_TOO_LARGE, "too-large", "The mesh is larger than the limits";
+    // The service.
+    INTERNAL_ERROR = INTERNAL_SERVER_ERROR, "internal-error", "The service failed";
+    NOT_READY = SERVICE_UNAVAILABLE, "not-ready", "The service is not ready for work";
+    STORAGE_FULL = INSUFFICIENT_STORAGE, "storage-full", "The service's disk is full";
+}

@@ -1,0 +1,45 @@
+//! Serves until told to stop, then stops in order.
+
+use std::future::{Future, IntoFuture};
+use std::io;
+use std::time::{Duration, Instant};
+
+use axum::serve::ListenerExt;
+use tokio::net::TcpListener;
+
+use super::{App, router};
+
+/// How long open connections may take to end after the signal to stop, within the grace time.
+const CONNECTIONS_END: Duration = Duration::from_secs(10);
+
+/// Serves on `listener` until `stop` is ready. Then no connection is accepted any more, requests under way are
+/// answered, running jobs finish within `grace`, and the others are put back.
+pub async fn serve(
+    listener: TcpListener,
+    app: App,
+    stop: impl Future<Output = ()>,
+    grace: Duration,
+) -> io::Result<()> {
+    let closing = app.closing().clone();
+    let listener = listener.tap_io(|connection| {
+        // Small answers should not wait for more; a socket that cannot be set works all the same.
+        let _ = connection.set_nodelay(true);
+    });
+    let server = axum::serve(listener, router::router(app.clone()))
+        .with_graceful_shutdown(closing.clone().cancelled_owned())
+        .into_future();
+    let mut server = tokio::spawn(server);
+    tokio::select! {
+        () = stop => {}
+        ended = &mut server => return ended.map_err(io::Error::other)?,
+    }
+    let begin = Instant::now();
+    app.jobs().drain();
+    closing.cancel();
+    if tokio::time::timeout(grace.min(CONNECTIONS_END), &mut server).await.is_err() {
+        tracing::warn!("connections that did not end are cut");
+        server.abort();
+    }
+    app.jobs().shutdown(grace.saturating_sub(begin.elapsed())).await;
+    Ok(())
+}

@@ -1,0 +1,48 @@
+//! The request log: what was asked by route, never the path or query as sent, which may hold patient data.
+
+use std::time::Instant;
+
+use axum::extract::{MatchedPath, Request};
+use axum::http::Method;
+use axum::middleware::Next;
+use axum::response::Response;
+
+use crate::jobs::JobId;
+
+/// Logs every request once its answer begins.
+pub async fn log(request: Request, next: Next) -> Response {
+    let begin = Instant::now();
+    let method = method(request.method());
+    let matched = request.extensions().get::<MatchedPath>().cloned();
+    let route = matched.as_ref().map_or("-", MatchedPath::as_str).to_owned();
+    let job = job_in_path(request.uri().path());
+    let response = next.run(request).await;
+    let job = job.or_else(|| response.extensions().get::<JobId>().copied());
+    let job = job.map(tracing::field::display);
+    let status = response.status().as_u16();
+    let micros = u64::try_from(begin.elapsed().as_micros()).unwrap_or(u64::MAX);
+    match route.as_str() {
+        "/healthz" | "/readyz" if status == 200 => tracing::debug!(method, route, status, micros),
+        _ => tracing::info!(method, route, status, micros, job, "request"),
+    }
+    response
+}
+
+/// A made-up method is the client's text: it is not repeated.
+fn method(method: &Method) -> &'static str {
+    match method.as_str() {
+        "GET" => "GET",
+        "HEAD" => "HEAD",
+        "POST" => "POST",
+        "DELETE" => "DELETE",
+        "OPTIONS" => "OPTIONS",
+        "PUT" => "PUT",
+        "PATCH" => "PATCH",
+        _ => "other",
+    }
+}
+
+/// Only what is a well-formed id.
+fn job_in_path(path: &str) -> Option<JobId> {
+    path.strip_prefix("/v1/jobs/")?.split('/').next()?.parse().ok()
+}

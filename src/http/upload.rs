@@ -1,0 +1,92 @@
+//! Takes a mesh and its parameters out of a request: a raw body, or a multipart form.
+
+mod body;
+mod multipart;
+
+use axum::extract::{Query, Request};
+use axum::http::{HeaderMap, header};
+
+use super::App;
+use super::parameters::Asked;
+use super::problem::{MALFORMED_REQUEST, Problem, UNSUPPORTED_MEDIA_TYPE, UPLOAD_TOO_LARGE};
+use crate::jobs::{FormatHint, Upload};
+
+/// The media types of a raw body.
+pub const MESH_TYPES: [&str; 7] =
+    ["model/stl", "model/obj", "model/ply", "model/gltf-binary", "model/gltf+json", "model/vtk", ANY_TYPE];
+
+/// The mesh's format is found from its content alone.
+pub const ANY_TYPE: &str = "application/octet-stream";
+
+/// A form with the parts `mesh` and `parameters`.
+pub const FORM_TYPE: &str = "multipart/form-data";
+
+/// What a form adds to its mesh at most, beside the parameters: boundaries and part headers.
+const FORM_OVERHEAD: u64 = 64 << 10;
+
+/// A mesh on disk, and what is to be done with it.
+pub struct Received {
+    pub upload: Upload,
+    pub asked: Asked,
+    pub hint: FormatHint,
+}
+
+/// Streams the request's mesh to disk.
+///
+/// # Errors
+/// 400, 408, 413 or 415, before or while the body comes in; nothing of it is kept then.
+pub async fn receive(app: &App, request: Request) -> Result<Received, Problem> {
+    let content_type = content_type(request.headers())?;
+    let query = query_pairs(&request)?;
+    // Refuses a wrong query before the body is read.
+    Asked::from_pairs(&query, app.limits())?;
+    let is_form = content_type == FORM_TYPE;
+    let extra = if is_form { app.limits().parameters_bytes as u64 + FORM_OVERHEAD } else { 0 };
+    check_length(app, request.headers(), extra)?;
+    if is_form {
+        return multipart::receive(app, request, query).await;
+    }
+    let asked = Asked::from_pairs(&query, app.limits())?;
+    let upload = body::store(app, request.into_body()).await?;
+    let hint = FormatHint { extension: None, content_type: Some(content_type) };
+    Ok(Received { upload, asked, hint })
+}
+
+/// The essence of `Content-Type`, in lower case; a body without one is taken by its content.
+fn content_type(headers: &HeaderMap) -> Result<String, Problem> {
+    let Some(value) = headers.get(header::CONTENT_TYPE) else { return Ok(ANY_TYPE.to_owned()) };
+    let text = value.to_str().unwrap_or_default();
+    let essence = text.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
+    if essence == FORM_TYPE || MESH_TYPES.contains(&essence.as_str()) {
+        return Ok(essence);
+    }
+    let accepted = [&MESH_TYPES[..], &[FORM_TYPE]].concat().join(", ");
+    let detail = format!("send a mesh as one of {accepted}");
+    Err(Problem::new(&UNSUPPORTED_MEDIA_TYPE, detail)
+        .with("accepted", [&MESH_TYPES[..], &[FORM_TYPE]].concat())
+        .header(header::ACCEPT, accepted))
+}
+
+/// The decoded query, in order.
+pub fn query_pairs(request: &Request) -> Result<Vec<(String, String)>, Problem> {
+    let query = Query::<Vec<(String, String)>>::try_from_uri(request.uri());
+    query
+        .map(|Query(pairs)| pairs)
+        .map_err(|error| Problem::new(&MALFORMED_REQUEST, format!("the query cannot be read: {error}")))
+}
+
+/// Refuses what declares itself too large, before any of it is read.
+fn check_length(app: &App, headers: &HeaderMap, extra: u64) -> Result<(), Problem> {
+    let declared =
+        headers.get(header::CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse::<u64>().ok());
+    if declared.is_some_and(|length| length > app.limits().upload_bytes.saturating_add(extra)) {
+        return Err(too_large(app));
+    }
+    Ok(())
+}
+
+pub(super) fn too_large(app: &App) -> Problem {
+    let limit = app.limits().upload_bytes;
+    let detail = format!("a mesh may have {limit} bytes; send a coarser one, or in a binary format");
+    Problem::new(&UPLOAD_TOO_LARGE, detail).with("limit", limit)
+}

@@ -1,0 +1,69 @@
+//! Bodies as streams with an idle limit.
+
+use std::io;
+use std::time::Duration;
+
+use axum::body::Body;
+use bytes::Bytes;
+use futures::{Stream, StreamExt, stream};
+
+use super::super::App;
+use super::super::problem::{Problem, UPLOAD_INCOMPLETE, UPLOAD_TIMEOUT};
+use super::too_large;
+use crate::jobs::blob::BlobError;
+use crate::jobs::{JobError, Upload};
+
+/// Streams a raw body to disk.
+pub(super) async fn store(app: &App, body: Body) -> Result<Upload, Problem> {
+    let bytes = body.into_data_stream().map(|item| item.map_err(io::Error::other));
+    let limits = app.limits();
+    let stored = app.jobs().upload(unless_idle(bytes, limits.upload_idle), limits.upload_bytes).await;
+    stored.map_err(|error| refusal(app, error))
+}
+
+/// An upload's failure as the client sees it.
+pub(super) fn refusal(app: &App, error: JobError) -> Problem {
+    match error {
+        JobError::Blob(BlobError::TooLarge { .. }) => too_large(app),
+        JobError::Blob(BlobError::Upload(cause)) if cause.kind() == io::ErrorKind::TimedOut => {
+            let seconds = app.limits().upload_idle.as_secs();
+            Problem::new(&UPLOAD_TIMEOUT, format!("nothing came in for {seconds} s; send the mesh again"))
+        }
+        JobError::Blob(BlobError::Upload(_)) => {
+            Problem::new(&UPLOAD_INCOMPLETE, "the body ended before it was whole; send the mesh again")
+        }
+        error => error.into(),
+    }
+}
+
+/// The stream, ended by `TimedOut` when nothing comes for `idle`.
+pub(super) fn unless_idle<'a, S>(
+    stream: S,
+    idle: Duration,
+) -> impl Stream<Item = io::Result<Bytes>> + Send + 'a
+where
+    S: Stream<Item = io::Result<Bytes>> + Send + Unpin + 'a,
+{
+    stream::unfold(Some(stream), move |state| async move {
+        let mut stream = state?;
+        match tokio::time::timeout(idle, stream.next()).await {
+            Ok(Some(item)) => Some((item, Some(stream))),
+            Ok(None) => None,
+            Err(_) => Some((Err(io::ErrorKind::TimedOut.into()), None)),
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_stream_that_stands_still_times_out() {
+        let source = stream::iter([Ok(Bytes::from_static(b"a"))]).chain(stream::pending()).boxed();
+        let items: Vec<_> = unless_idle(source, Duration::from_millis(20)).collect().await;
+        assert_eq!(items.len(), 2);
+        assert_eq!(items[0].as_ref().unwrap(), "a");
+        assert_eq!(items[1].as_ref().unwrap_err().kind(), io::ErrorKind::TimedOut);
+    }
+}

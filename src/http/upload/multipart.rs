@@ -1,0 +1,122 @@
+//! A form with a part `mesh` and, before or after it, a part `parameters` (RFC 7578).
+
+use std::io;
+use std::path::Path;
+
+use axum::RequestExt;
+use axum::extract::Request;
+use axum::extract::multipart::{Field, Multipart, MultipartError};
+use bytes::Bytes;
+use futures::StreamExt;
+
+use super::super::App;
+use super::super::parameters::{Asked, json_pairs, source_name};
+use super::super::problem::{MALFORMED_REQUEST, Problem, UPLOAD_TOO_LARGE};
+use super::{Received, body};
+use crate::jobs::{FileName, FormatHint, Upload};
+
+/// The part `mesh`, on disk.
+struct Mesh {
+    upload: Upload,
+    hint: FormatHint,
+    name: Option<FileName>,
+}
+
+/// Takes a form apart; `query` holds parameters too, which the form's override.
+pub(super) async fn receive(
+    app: &App,
+    request: Request,
+    query: Vec<(String, String)>,
+) -> Result<Received, Problem> {
+    let multipart = request.extract::<Multipart, _>().await;
+    let mut multipart = multipart.map_err(|error| {
+        Problem::new(&MALFORMED_REQUEST, format!("the form cannot be read: {}", error.body_text()))
+    })?;
+    parts(app, &mut multipart, query).await
+}
+
+async fn parts(
+    app: &App,
+    multipart: &mut Multipart,
+    mut pairs: Vec<(String, String)>,
+) -> Result<Received, Problem> {
+    let (mut mesh, mut has_parameters) = (None, false);
+    while let Some(field) = next_field(app, multipart).await? {
+        match field.name() {
+            Some("mesh") if mesh.is_none() => mesh = Some(store(app, field).await?),
+            Some("parameters") if !has_parameters => {
+                has_parameters = true;
+                let given = json_pairs(&read(app, field).await?)?;
+                pairs.retain(|(name, _)| given.iter().all(|(other, _)| other != name));
+                pairs.extend(given);
+                // Refuses wrong parameters before the mesh comes in.
+                Asked::from_pairs(&pairs, app.limits())?;
+            }
+            Some("mesh" | "parameters") => {
+                return Err(Problem::new(&MALFORMED_REQUEST, "the form has a part twice; send each once"));
+            }
+            _ => {
+                let detail = "the form has a part that is neither 'mesh' nor 'parameters'; leave it out";
+                return Err(Problem::new(&MALFORMED_REQUEST, detail));
+            }
+        }
+    }
+    let Some(mesh) = mesh else {
+        return Err(Problem::new(
+            &MALFORMED_REQUEST,
+            "the form has no part 'mesh'; send the mesh's file in it",
+        ));
+    };
+    let mut asked = Asked::from_pairs(&pairs, app.limits())?;
+    asked.name = asked.name.or(mesh.name);
+    Ok(Received { upload: mesh.upload, asked, hint: mesh.hint })
+}
+
+async fn next_field<'a>(app: &App, multipart: &'a mut Multipart) -> Result<Option<Field<'a>>, Problem> {
+    let idle = app.limits().upload_idle;
+    match tokio::time::timeout(idle, multipart.next_field()).await {
+        Ok(field) => field.map_err(|error| broken(&error)),
+        Err(_) => Err(body::refusal(
+            app,
+            crate::jobs::blob::BlobError::Upload(io::ErrorKind::TimedOut.into()).into(),
+        )),
+    }
+}
+
+fn broken(error: &MultipartError) -> Problem {
+    Problem::new(&MALFORMED_REQUEST, format!("the form cannot be read: {}", error.body_text()))
+}
+
+/// Streams the mesh to disk. The part's content type is a hint only: browsers guess it from the file name.
+async fn store(app: &App, field: Field<'_>) -> Result<Mesh, Problem> {
+    let file_name = field.file_name().unwrap_or_default();
+    let extension =
+        Path::new(file_name).extension().and_then(|extension| extension.to_str()).map(str::to_owned);
+    let name = source_name(file_name, app.limits()).ok().flatten();
+    let hint = FormatHint { extension, content_type: field.content_type().map(str::to_owned) };
+    let bytes = field.map(|chunk| chunk.map_err(io::Error::other)).boxed();
+    let stored =
+        app.jobs().upload(body::unless_idle(bytes, app.limits().upload_idle), app.limits().upload_bytes);
+    let upload = stored.await.map_err(|error| body::refusal(app, error))?;
+    Ok(Mesh { upload, hint, name })
+}
+
+/// The parameters' bytes.
+async fn read(app: &App, field: Field<'_>) -> Result<Vec<u8>, Problem> {
+    let limit = app.limits().parameters_bytes;
+    let mut chunks = Box::pin(body::unless_idle(
+        field.map(|chunk| chunk.map_err(io::Error::other)).boxed(),
+        app.limits().upload_idle,
+    ));
+    let mut whole = Vec::new();
+    while let Some(chunk) = chunks.next().await {
+        let chunk: Bytes =
+            chunk.map_err(|error| body::refusal(app, crate::jobs::blob::BlobError::Upload(error).into()))?;
+        if whole.len() + chunk.len() > limit {
+            let detail = format!("the part 'parameters' may have {limit} bytes");
+            return Err(Problem::new(&UPLOAD_TOO_LARGE, detail).with("limit", limit));
+        }
+        whole.extend_from_slice(&chunk);
+    }
+    Ok(whole)
+}

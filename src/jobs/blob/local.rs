@@ -1,0 +1,192 @@
+//! Blobs as local files, through object_store's file system backend with fsync on.
+
+use std::fs;
+use std::io;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use bytes::{Bytes, BytesMut};
+use futures::{FutureExt, StreamExt, TryStreamExt};
+use object_store::local::LocalFileSystem;
+use object_store::path::Path as Key;
+use object_store::{GetOptions, MultipartUpload, ObjectStore, ObjectStoreExt, PutPayload};
+use sha2::{Digest, Sha256};
+
+use super::{BlobBody, BlobError, BlobFuture, BlobInfo, BlobReader, BlobStore};
+
+/// Bytes gathered before they are hashed and written.
+const PART: usize = 1 << 20;
+
+/// A folder of blobs.
+///
+/// A blob is written to a staging file (`NAME#N`), fsynced, renamed into place, and its folder fsynced.
+pub struct LocalBlobs {
+    files: LocalFileSystem,
+    root: PathBuf,
+}
+
+impl LocalBlobs {
+    /// Opens the folder, creates it if it is missing, and removes half-written files of a process that died.
+    ///
+    /// Blocks; no other process may use the folder.
+    pub fn open(root: &Path) -> Result<Self, BlobError> {
+        crate::jobs::folder::create(root).map_err(BlobError::Folder)?;
+        let removed = remove_staged(root).map_err(BlobError::Folder)?;
+        if removed > 0 {
+            tracing::info!(files = removed, "removed half-written files");
+        }
+        let files = LocalFileSystem::new_with_prefix(root)?.with_fsync(true).with_automatic_cleanup(true);
+        Ok(Self { files, root: root.to_owned() })
+    }
+}
+
+/// Removes object_store's staging files and folders that are empty; the number of files removed.
+fn remove_staged(folder: &Path) -> io::Result<usize> {
+    let mut removed = 0;
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            removed += remove_staged(&entry.path())?;
+            if fs::read_dir(entry.path())?.next().is_none() {
+                fs::remove_dir(entry.path())?;
+            }
+        } else if entry.file_name().as_encoded_bytes().contains(&b'#') {
+            fs::remove_file(entry.path())?;
+            removed += 1;
+        }
+    }
+    Ok(removed)
+}
+
+/// Tells a missing blob and a full disk from other failures.
+fn classified(key: &str, error: object_store::Error) -> BlobError {
+    if matches!(error, object_store::Error::NotFound { .. }) {
+        return BlobError::NotFound { key: key.to_owned() };
+    }
+    let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(&error);
+    while let Some(inner) = cause {
+        let kind = inner.downcast_ref::<io::Error>().map(io::Error::kind);
+        if matches!(kind, Some(io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)) {
+            return BlobError::Full;
+        }
+        cause = inner.source();
+    }
+    BlobError::Storage(error)
+}
+
+/// An upload under way: gathers parts, hashes and writes them off the async threads.
+struct Writer<'a> {
+    key: &'a str,
+    upload: Box<dyn MultipartUpload>,
+    hash: Sha256,
+    size: u64,
+    part: BytesMut,
+}
+
+impl Writer<'_> {
+    async fn flush(&mut self) -> Result<(), BlobError> {
+        let part = self.part.split().freeze();
+        if part.is_empty() {
+            return Ok(());
+        }
+        let (mut hash, bytes) = (std::mem::take(&mut self.hash), part.clone());
+        let hashing = tokio::task::spawn_blocking(move || {
+            hash.update(&bytes);
+            hash
+        });
+        self.upload
+            .put_part(PutPayload::from_bytes(part))
+            .await
+            .map_err(|error| classified(self.key, error))?;
+        self.hash = hashing.await.map_err(|error| BlobError::Folder(io::Error::other(error)))?;
+        Ok(())
+    }
+
+    async fn write(&mut self, mut body: BlobBody<'_>, limit: u64) -> Result<(), BlobError> {
+        while let Some(bytes) = body.next().await {
+            let bytes = bytes.map_err(BlobError::Upload)?;
+            self.size += bytes.len() as u64;
+            if self.size > limit {
+                return Err(BlobError::TooLarge { limit });
+            }
+            self.part.extend_from_slice(&bytes);
+            if self.part.len() >= PART {
+                self.flush().await?;
+            }
+        }
+        self.flush().await?;
+        self.upload.complete().await.map_err(|error| classified(self.key, error))?;
+        Ok(())
+    }
+}
+
+impl BlobStore for LocalBlobs {
+    fn put<'a>(&'a self, key: &'a str, body: BlobBody<'a>, limit: u64) -> BlobFuture<'a, BlobInfo> {
+        async move {
+            let failed = |error| classified(key, error);
+            // Dropping the upload removes its staging file.
+            let upload = self.files.put_multipart(&Key::from(key)).await.map_err(failed)?;
+            let mut writer = Writer { key, upload, hash: Sha256::new(), size: 0, part: BytesMut::new() };
+            writer.write(body, limit).await?;
+            let sha256 = writer.hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+            Ok(BlobInfo { size: writer.size, sha256 })
+        }
+        .boxed()
+    }
+
+    fn open<'a>(&'a self, key: &'a str, range: Option<Range<u64>>) -> BlobFuture<'a, BlobReader> {
+        async move {
+            let options = GetOptions { range: range.map(Into::into), ..GetOptions::default() };
+            let got = self.files.get_opts(&Key::from(key), options).await;
+            let got = got.map_err(|error| classified(key, error))?;
+            let (size, range) = (got.meta.size, got.range.clone());
+            Ok(BlobReader { size, range, stream: got.into_stream().map_err(io::Error::other).boxed() })
+        }
+        .boxed()
+    }
+
+    fn read<'a>(&'a self, key: &'a str) -> BlobFuture<'a, Bytes> {
+        async move {
+            let failed = |error| classified(key, error);
+            self.files.get(&Key::from(key)).await.map_err(failed)?.bytes().await.map_err(failed)
+        }
+        .boxed()
+    }
+
+    fn delete<'a>(&'a self, key: &'a str) -> BlobFuture<'a, ()> {
+        async move {
+            match self.files.delete(&Key::from(key)).await {
+                Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+                Err(error) => Err(classified(key, error)),
+            }
+        }
+        .boxed()
+    }
+
+    fn list(&self) -> BlobFuture<'_, Vec<String>> {
+        async move {
+            let objects: Vec<_> =
+                self.files.list(None).try_collect().await.map_err(|error| classified("", error))?;
+            Ok(objects.into_iter().map(|object| object.location.to_string()).collect())
+        }
+        .boxed()
+    }
+
+    fn check(&self) -> BlobFuture<'_, ()> {
+        async move {
+            let probe = self.root.join("probe#check");
+            let written = tokio::task::spawn_blocking(move || {
+                let written = fs::write(&probe, b"rosaline");
+                fs::remove_file(&probe).ok();
+                written
+            });
+            match written.await {
+                Ok(Ok(())) => Ok(()),
+                Ok(Err(error)) if error.kind() == io::ErrorKind::StorageFull => Err(BlobError::Full),
+                Ok(Err(error)) => Err(BlobError::Folder(error)),
+                Err(error) => Err(BlobError::Folder(io::Error::other(error))),
+            }
+        }
+        .boxed()
+    }
+}

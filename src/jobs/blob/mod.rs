@@ -1,0 +1,80 @@
+//! The blob store: inputs and results as files, by key.
+
+mod local;
+#[cfg(test)]
+mod tests;
+
+use std::io;
+use std::ops::Range;
+
+use bytes::Bytes;
+use futures::future::BoxFuture;
+use futures::stream::BoxStream;
+
+pub use local::LocalBlobs;
+
+/// Why the blob store did not do as asked.
+#[derive(Debug, thiserror::Error)]
+pub enum BlobError {
+    #[error("there is no blob {key}")]
+    NotFound { key: String },
+    #[error("the upload is larger than the limit of {limit} bytes")]
+    TooLarge { limit: u64 },
+    #[error("the upload broke off: {0}")]
+    Upload(io::Error),
+    #[error("the disk under the data folder is full; free space on it")]
+    Full,
+    #[error("the blob store failed: {0}")]
+    Storage(#[from] object_store::Error),
+    #[error("the blob folder cannot be used: {0}")]
+    Folder(io::Error),
+}
+
+/// What a blob method answers.
+pub type BlobFuture<'a, T> = BoxFuture<'a, Result<T, BlobError>>;
+
+/// Bytes to be stored, as they come.
+pub type BlobBody<'a> = BoxStream<'a, io::Result<Bytes>>;
+
+/// A blob that was stored.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BlobInfo {
+    /// Bytes.
+    pub size: u64,
+    /// SHA-256 of the bytes, lower-case hex.
+    pub sha256: String,
+}
+
+/// An open blob, or a range of it.
+pub struct BlobReader {
+    /// Bytes of the whole blob.
+    pub size: u64,
+    /// The bytes that `stream` gives: within `0..size`.
+    pub range: Range<u64>,
+    pub stream: BoxStream<'static, io::Result<Bytes>>,
+}
+
+/// Named immutable byte strings. Keys are relative paths of plain ASCII segments.
+pub trait BlobStore: Send + Sync + 'static {
+    /// Stores `body` under `key`. When the future is ready the blob is whole and durable; until then, and
+    /// after an error or a drop, there is none. Memory use does not grow with the body.
+    ///
+    /// # Errors
+    /// [`BlobError::TooLarge`] as soon as the body passes `limit` bytes.
+    fn put<'a>(&'a self, key: &'a str, body: BlobBody<'a>, limit: u64) -> BlobFuture<'a, BlobInfo>;
+
+    /// Opens a blob; `range` must lie within it.
+    fn open<'a>(&'a self, key: &'a str, range: Option<Range<u64>>) -> BlobFuture<'a, BlobReader>;
+
+    /// A whole blob in memory.
+    fn read<'a>(&'a self, key: &'a str) -> BlobFuture<'a, Bytes>;
+
+    /// Removes a blob; one that is not there is no error.
+    fn delete<'a>(&'a self, key: &'a str) -> BlobFuture<'a, ()>;
+
+    /// The keys of every blob.
+    fn list(&self) -> BlobFuture<'_, Vec<String>>;
+
+    /// Fails unless a blob can be written.
+    fn check(&self) -> BlobFuture<'_, ()>;
+}

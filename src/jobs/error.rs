@@ -1,0 +1,40 @@
+//! Why the queue did not do as asked.
+
+use super::blob::BlobError;
+use super::store::StoreError;
+use super::{FolderError, JobFailure, JobId, JobStatus};
+use crate::output::OutputFormat;
+
+/// Why the queue did not do as asked.
+#[derive(Debug, thiserror::Error)]
+pub enum JobError {
+    #[error("there is no job {id}")]
+    NotFound { id: JobId },
+    #[error("job {id} is {status}; its result is there once it is successful")]
+    NotReady { id: JobId, status: JobStatus },
+    #[error("job {id} was dismissed and has no result")]
+    Dismissed { id: JobId },
+    #[error("job {id} failed: {failure}")]
+    Failed { id: JobId, failure: Box<JobFailure> },
+    #[error("job {id} has no result as {}", format.extension())]
+    NoSuchResult { id: JobId, format: OutputFormat },
+    #[error("the service is shutting down; try again when it is back")]
+    ShuttingDown,
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    #[error("the worker threads cannot be started: {0}; set fewer threads")]
+    Pool(#[from] rayon::ThreadPoolBuildError),
+    #[error("the queue stopped on an internal error: {0}")]
+    Internal(#[from] tokio::task::JoinError),
+}
+
+/// Why the service should get no requests now.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("not ready: {}", reasons.join("; "))]
+pub struct Unready {
+    pub reasons: Vec<String>,
+}

@@ -1,0 +1,65 @@
+//! Why a job failed, as it is stored and shown.
+
+use serde::{Deserialize, Serialize};
+
+/// A job's failure: the parts of a problem (RFC 9457) that do not depend on HTTP.
+///
+/// Never holds text out of the mesh file.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[error("{title}: {detail}")]
+pub struct JobFailure {
+    /// A stable word, e.g. `no-triangles`, for the problem type and for logs.
+    pub code: String,
+    /// Whose fault, in HTTP's numbers: 4xx the input's, 5xx the service's.
+    pub status: u16,
+    /// What kind of failure, the same for every job with this `code`.
+    pub title: String,
+    /// What was found in this job and what to do.
+    pub detail: String,
+}
+
+impl JobFailure {
+    pub fn new(code: &str, status: u16, title: &str, detail: impl Into<String>) -> Self {
+        Self { code: code.to_owned(), status, title: title.to_owned(), detail: detail.into() }
+    }
+
+    /// The runner panicked. The panic's message stays out: it may quote the mesh.
+    pub fn panicked() -> Self {
+        Self::new(
+            "internal-error",
+            500,
+            "The extraction stopped on an internal error",
+            "the service is at fault, not the mesh's sender; the service's log has the place under this job's id",
+        )
+    }
+
+    /// The process ended `attempts` times while the job ran.
+    pub fn crashed(attempts: u32) -> Self {
+        Self::new(
+            "crashed",
+            500,
+            "The job was given up after repeated crashes",
+            format!(
+                "the service stopped unexpectedly {attempts} times while this job ran (out of memory is the usual \
+                 cause); it is not tried again"
+            ),
+        )
+    }
+
+    /// The stored input cannot be read.
+    pub fn input_lost(detail: impl Into<String>) -> Self {
+        Self::new("input-lost", 500, "The stored mesh cannot be read", detail)
+    }
+
+    /// The job's row was written by something else.
+    pub fn unreadable_row() -> Self {
+        let detail =
+            "its row in the job database was changed by hand or by another version; send the mesh again";
+        Self::new("unreadable-job", 500, "The stored job cannot be read", detail)
+    }
+
+    /// The stored parameters are not those of this version.
+    pub fn stale_parameters(detail: impl Into<String>) -> Self {
+        Self::new("stale-parameters", 422, "The job's parameters are not known to this version", detail)
+    }
+}

@@ -1,0 +1,47 @@
+//! The durable job queue and its worker pool.
+//!
+//! [`JobService`] is the door: it takes uploads, answers status, waits, cancels, hands out results and
+//! shuts down. Behind it are two interfaces, [`store::JobStore`] (one table) and [`blob::BlobStore`]
+//! (inputs and results), and [`runner::JobRunner`], which turns one input into results on a rayon pool.
+//!
+//! What holds at any moment, kill -9 included:
+//! * an input is on disk (fsynced) before its job row, and the row is committed before `submit` returns;
+//! * results are on disk before their job says `successful`;
+//! * every update of a running job is fenced by the lease of its claim, so a job ends once;
+//! * a job's row goes before its files; files without a row are removed at the next start.
+//!
+//! Nothing here knows of HTTP, and nothing here logs a mesh's file name or content.
+
+pub mod blob;
+mod clock;
+mod error;
+pub mod extraction;
+mod failure;
+mod folder;
+mod id;
+mod live;
+mod model;
+mod panics;
+mod recovery;
+mod results;
+pub mod runner;
+mod service;
+mod settings;
+mod storage;
+pub mod store;
+mod worker;
+
+pub use clock::{Clock, ManualClock, SystemClock};
+pub use error::{JobError, Unready};
+pub use failure::JobFailure;
+pub use folder::{DataFolder, FolderError};
+pub use id::{IdSource, JobId, ParseJobIdError};
+pub use live::JobStage;
+pub use model::{
+    Counts, FileName, FormatHint, Job, JobSpec, JobStatus, Lease, ParameterValues, StoredArtifact,
+    StoredInput, UnknownStatus,
+};
+pub use panics::log_panics_without_text;
+pub use service::{JobService, Removed, Upload};
+pub use settings::Settings;
+pub use storage::Storage;

@@ -1,0 +1,317 @@
+//! What a job is.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use super::{JobFailure, JobId};
+use crate::centerline::{ParameterError, ParameterKind, Parameters, TABLE};
+use crate::mesh::Units;
+use crate::output::OutputFormat;
+
+/// A job's state, in the words of OGC API Processes (statusInfo).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum JobStatus {
+    /// Waits for a worker.
+    Accepted,
+    Running,
+    Successful,
+    Failed,
+    /// Cancelled by its client.
+    Dismissed,
+}
+
+impl JobStatus {
+    pub const ALL: [JobStatus; 5] = [
+        JobStatus::Accepted,
+        JobStatus::Running,
+        JobStatus::Successful,
+        JobStatus::Failed,
+        JobStatus::Dismissed,
+    ];
+
+    /// The state's word in the API, the store and logs.
+    pub fn name(self) -> &'static str {
+        match self {
+            JobStatus::Accepted => "accepted",
+            JobStatus::Running => "running",
+            JobStatus::Successful => "successful",
+            JobStatus::Failed => "failed",
+            JobStatus::Dismissed => "dismissed",
+        }
+    }
+
+    /// Whether the job will still change.
+    pub fn is_active(self) -> bool {
+        matches!(self, JobStatus::Accepted | JobStatus::Running)
+    }
+}
+
+impl fmt::Display for JobStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+/// A word that is none of [`JobStatus`]' names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("this is not a job status; use accepted, running, successful, failed or dismissed")]
+pub struct UnknownStatus;
+
+impl FromStr for JobStatus {
+    type Err = UnknownStatus;
+
+    fn from_str(text: &str) -> Result<Self, UnknownStatus> {
+        JobStatus::ALL.into_iter().find(|status| status.name() == text).ok_or(UnknownStatus)
+    }
+}
+
+/// The mesh's file name as its client gave it: patient data. `Debug` and `Display` hide it.
+#[derive(Clone, PartialEq, Eq)]
+pub struct FileName(String);
+
+impl FileName {
+    pub fn new(name: impl Into<String>) -> Self {
+        Self(name.into())
+    }
+
+    /// The name itself: for the result's `source.name` and the store, never for a log.
+    pub fn expose(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Debug for FileName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("FileName(hidden)")
+    }
+}
+
+/// A preset and parameter values as the store keeps them: by name, so that they outlive the table's order.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ParameterValues {
+    pub preset: String,
+    pub values: BTreeMap<String, f64>,
+}
+
+impl From<&Parameters> for ParameterValues {
+    fn from(parameters: &Parameters) -> Self {
+        Self {
+            preset: parameters.preset().name().to_owned(),
+            values: parameters.iter().map(|(spec, value)| (spec.name.to_owned(), value)).collect(),
+        }
+    }
+}
+
+impl TryFrom<&ParameterValues> for Parameters {
+    type Error = ParameterError;
+
+    /// Values that a newer version added take their preset's default.
+    fn try_from(stored: &ParameterValues) -> Result<Self, ParameterError> {
+        let mut parameters = Parameters::of(stored.preset.parse()?);
+        for (name, value) in &stored.values {
+            let spec = TABLE.iter().find(|spec| spec.name == name);
+            let text = match spec.map(|spec| spec.kind) {
+                Some(ParameterKind::Flag) => (*value != 0.0).to_string(),
+                _ => value.to_string(),
+            };
+            parameters.set(name, &text)?;
+        }
+        Ok(parameters)
+    }
+}
+
+/// What the client says the mesh is; decides only where the content leaves doubts.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct FormatHint {
+    /// Of the file name, without its stem: that is patient data.
+    pub extension: Option<String>,
+    pub content_type: Option<String>,
+}
+
+/// What a client asks for, beside the mesh's bytes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JobSpec {
+    pub hint: FormatHint,
+    /// For the result's `source.name`.
+    pub name: Option<FileName>,
+    pub units: Units,
+    pub parameters: ParameterValues,
+}
+
+impl Default for JobSpec {
+    fn default() -> Self {
+        let parameters = ParameterValues::from(&Parameters::default());
+        Self { hint: FormatHint::default(), name: None, units: Units::default(), parameters }
+    }
+}
+
+/// A mesh in the blob store.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StoredInput {
+    pub key: String,
+    /// Bytes.
+    pub size: u64,
+    /// SHA-256 of the bytes, lower-case hex.
+    pub sha256: String,
+}
+
+/// A result in the blob store.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StoredArtifact {
+    #[serde(with = "format_word")]
+    pub format: OutputFormat,
+    pub key: String,
+    /// Bytes.
+    pub size: u64,
+    /// SHA-256 of the bytes, lower-case hex: a strong ETag.
+    pub sha256: String,
+}
+
+/// Output formats as their extensions.
+mod format_word {
+    use serde::{Deserialize, Deserializer, Serializer, de};
+
+    use crate::output::OutputFormat;
+
+    pub(super) fn serialize<S: Serializer>(format: &OutputFormat, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(format.extension())
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<OutputFormat, D::Error> {
+        let word = String::deserialize(deserializer)?;
+        OutputFormat::from_extension(&word).ok_or_else(|| de::Error::custom("an unknown result format"))
+    }
+}
+
+/// A claim's secret: updates of a running job must show it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Lease(String);
+
+impl Lease {
+    pub fn new() -> Self {
+        Self(uuid::Uuid::now_v7().simple().to_string())
+    }
+
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+
+    pub(super) fn from_stored(text: String) -> Self {
+        Self(text)
+    }
+}
+
+impl Default for Lease {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// One row of the store. Times are milliseconds since the epoch.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Job {
+    pub id: JobId,
+    pub status: JobStatus,
+    /// Percent, 0 to 100.
+    pub progress: u8,
+    /// The stage at work, or at which the job failed or was dismissed.
+    pub stage: Option<String>,
+    pub created: i64,
+    /// Of the last attempt.
+    pub started: Option<i64>,
+    pub updated: i64,
+    pub finished: Option<i64>,
+    /// Of a failed job.
+    pub error: Option<JobFailure>,
+    pub input: StoredInput,
+    pub spec: JobSpec,
+    /// Of a successful job.
+    pub artifacts: Vec<StoredArtifact>,
+    /// How often the job was started and not put back by an orderly shutdown.
+    pub attempts: u32,
+    /// Of a running job.
+    pub lease: Option<Lease>,
+}
+
+impl Job {
+    /// A job that waits for its first run.
+    pub fn accepted(id: JobId, input: StoredInput, spec: JobSpec, now: i64) -> Self {
+        Self {
+            id,
+            status: JobStatus::Accepted,
+            progress: 0,
+            stage: None,
+            created: now,
+            started: None,
+            updated: now,
+            finished: None,
+            error: None,
+            input,
+            spec,
+            artifacts: Vec::new(),
+            attempts: 0,
+            lease: None,
+        }
+    }
+}
+
+/// How many jobs are in each state.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct Counts {
+    pub accepted: u64,
+    pub running: u64,
+    pub successful: u64,
+    pub failed: u64,
+    pub dismissed: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::centerline::Preset;
+
+    #[test]
+    fn a_job_does_not_show_its_file_name() {
+        let spec = JobSpec { name: Some(FileName::new("doe_jane_1970.stl")), ..JobSpec::default() };
+        assert!(!format!("{spec:?}").contains("doe"));
+        assert_eq!(spec.name.map(|name| name.expose().to_owned()).as_deref(), Some("doe_jane_1970.stl"));
+    }
+
+    #[test]
+    fn parameters_survive_the_store() {
+        let mut parameters = Parameters::of(Preset::Paper);
+        parameters.set("omega", "0.8000000000000003").unwrap();
+        parameters.set("smoothing", "true").unwrap();
+        let json = serde_json::to_string(&ParameterValues::from(&parameters)).unwrap();
+        let stored: ParameterValues = serde_json::from_str(&json).unwrap();
+        assert_eq!(Parameters::try_from(&stored), Ok(parameters));
+    }
+
+    #[test]
+    fn a_parameter_of_another_version_is_named() {
+        let mut stored = ParameterValues::from(&Parameters::default());
+        stored.values.insert("gone".to_owned(), 1.0);
+        let error = Parameters::try_from(&stored).unwrap_err();
+        assert!(error.to_string().contains("'gone'"), "{error}");
+        stored.values.clear();
+        assert_eq!(Parameters::try_from(&stored), Ok(Parameters::default()), "missing ones take the default");
+    }
+
+    #[test]
+    fn words_read_back() {
+        for status in JobStatus::ALL {
+            assert_eq!(status.name().parse(), Ok(status));
+        }
+        assert_eq!("Running".parse::<JobStatus>(), Err(UnknownStatus));
+        for format in OutputFormat::ALL {
+            let artifact = StoredArtifact { format, key: "k".into(), size: 1, sha256: "00".into() };
+            let json = serde_json::to_string(&artifact).unwrap();
+            assert!(json.contains(&format!("\"format\":\"{}\"", format.extension())), "{json}");
+            assert_eq!(serde_json::from_str::<StoredArtifact>(&json).unwrap(), artifact);
+        }
+    }
+}

@@ -1,0 +1,341 @@
+//! The door to the queue.
+
+use std::io;
+use std::ops::Range;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use bytes::Bytes;
+use futures::{Stream, StreamExt};
+use tokio::sync::{Notify, watch};
+use tokio::task::JoinHandle;
+
+use super::blob::BlobReader;
+use super::live::Board;
+use super::recovery::recover;
+use super::runner::JobRunner;
+use super::store::{ListQuery, Page};
+use super::worker::{Phase, Shared, Worker};
+use super::{
+    Clock, Counts, IdSource, Job, JobError, JobId, JobSpec, JobStatus, Settings, Storage, StoredArtifact,
+    StoredInput, SystemClock, Unready,
+};
+use crate::output::OutputFormat;
+
+/// A mesh that was stored for a job not yet submitted. Dropping it removes the mesh.
+pub struct Upload {
+    id: JobId,
+    input: Option<StoredInput>,
+    shared: Arc<Shared>,
+}
+
+impl Upload {
+    /// The id that the job will have.
+    pub fn id(&self) -> JobId {
+        self.id
+    }
+
+    /// Bytes.
+    pub fn size(&self) -> u64 {
+        self.input.as_ref().map_or(0, |input| input.size)
+    }
+
+    /// SHA-256 of the bytes, lower-case hex.
+    pub fn sha256(&self) -> &str {
+        self.input.as_ref().map_or("", |input| &input.sha256)
+    }
+
+    /// The bytes, all in memory: for a look at them before the job is submitted.
+    pub async fn read(&self) -> Result<Bytes, JobError> {
+        let key = self.input.as_ref().map_or("", |input| &input.key);
+        Ok(self.shared.blobs.read(key).await?)
+    }
+}
+
+impl Drop for Upload {
+    fn drop(&mut self) {
+        let (Some(input), Ok(runtime)) = (self.input.take(), tokio::runtime::Handle::try_current()) else {
+            return;
+        };
+        let shared = self.shared.clone();
+        runtime.spawn(async move {
+            if let Err(error) = shared.blobs.delete(&input.key).await {
+                tracing::warn!(%error, "an upload without a job stays until the next start");
+            }
+        });
+    }
+}
+
+/// What [`JobService::remove`] did.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Removed {
+    /// The job was active; it is dismissed now.
+    Dismissed(Box<Job>),
+    /// The job had ended; it and its files are gone.
+    Purged,
+}
+
+/// The durable queue with its workers. All methods may be called from any number of tasks.
+pub struct JobService {
+    shared: Arc<Shared>,
+    ids: IdSource,
+    workers: Mutex<Vec<JoinHandle<()>>>,
+}
+
+impl JobService {
+    /// Opens (or creates) the data folder, recovers what a dead process left, and starts the workers.
+    ///
+    /// Must be called inside a tokio runtime.
+    ///
+    /// # Errors
+    /// [`super::FolderError::InUse`] while another process uses the folder.
+    pub async fn open(settings: Settings, runner: Arc<dyn JobRunner>) -> Result<Arc<Self>, JobError> {
+        Self::start(Storage::local(&settings.data).await?, settings, runner, Arc::new(SystemClock)).await
+    }
+
+    /// [`JobService::open`] on any storage, which nothing else uses, and any clock.
+    pub async fn start(
+        storage: Storage,
+        settings: Settings,
+        runner: Arc<dyn JobRunner>,
+        clock: Arc<dyn Clock>,
+    ) -> Result<Arc<Self>, JobError> {
+        let (store, blobs) = (&storage.store, &storage.blobs);
+        recover(store.as_ref(), blobs.as_ref(), settings.max_attempts, clock.now_ms()).await?;
+        let ids = IdSource::new(clock.clone(), store.newest().await?);
+        let shared = Arc::new(Shared {
+            store: storage.store,
+            blobs: storage.blobs,
+            runner,
+            clock,
+            board: Arc::new(Board::default()),
+            settings,
+            _folder: storage.folder,
+            wake: Notify::new(),
+            phase: watch::Sender::new(Phase::Open),
+        });
+        let workers: Result<Vec<Worker>, _> =
+            (0..shared.settings.workers.get()).map(|number| Worker::new(shared.clone(), number)).collect();
+        let workers = workers?.into_iter().map(|worker| tokio::spawn(worker.work())).collect();
+        Ok(Arc::new(Self { shared, ids, workers: Mutex::new(workers) }))
+    }
+
+    fn phase(&self) -> Phase {
+        *self.shared.phase.borrow()
+    }
+
+    /// Streams a mesh to disk, for [`JobService::submit`]. Memory use does not grow with the body.
+    ///
+    /// # Errors
+    /// [`super::blob::BlobError::TooLarge`] past `limit` bytes, [`super::blob::BlobError::Upload`] when `body` fails,
+    /// [`super::blob::BlobError::Full`] when the disk is full, [`JobError::ShuttingDown`].
+    pub async fn upload<S>(&self, body: S, limit: u64) -> Result<Upload, JobError>
+    where
+        S: Stream<Item = io::Result<Bytes>> + Send,
+    {
+        if self.phase() != Phase::Open {
+            return Err(JobError::ShuttingDown);
+        }
+        let id = self.ids.next();
+        let key = format!("{id}/input");
+        let info = self.shared.blobs.put(&key, body.boxed(), limit).await?;
+        let input = StoredInput { key, size: info.size, sha256: info.sha256 };
+        Ok(Upload { id, input: Some(input), shared: self.shared.clone() })
+    }
+
+    /// The bytes of an upload, to look into before it is submitted.
+    pub async fn read_upload(&self, upload: &Upload) -> Result<Bytes, JobError> {
+        let id = upload.id;
+        let input = upload.input.as_ref().ok_or(JobError::NotFound { id })?;
+        Ok(self.shared.blobs.read(&input.key).await?)
+    }
+
+    /// Accepts a job. When the future is ready the job is durable: it will run, kill -9 or not.
+    pub async fn submit(&self, upload: Upload, spec: JobSpec) -> Result<Job, JobError> {
+        if self.phase() != Phase::Open {
+            return Err(JobError::ShuttingDown);
+        }
+        // A task of its own: a client that leaves now must not tear row and file apart.
+        tokio::spawn(accept(upload, spec)).await?
+    }
+
+    /// The job as it is now, progress included.
+    pub async fn status(&self, id: JobId) -> Result<Job, JobError> {
+        let job = self.shared.store.get(id).await?.ok_or(JobError::NotFound { id })?;
+        Ok(self.with_progress(job))
+    }
+
+    fn with_progress(&self, mut job: Job) -> Job {
+        if job.status == JobStatus::Running
+            && let Some((stage, percent)) =
+                self.shared.board.snapshot(job.id).and_then(|live| live.progress())
+        {
+            job.progress = percent;
+            job.stage = Some(stage.name().to_owned());
+        }
+        job
+    }
+
+    /// [`JobService::status`] once the job has ended, or after `limit`, whichever is first.
+    pub async fn wait(&self, id: JobId, limit: Duration) -> Result<Job, JobError> {
+        let mut watch = self.shared.board.watch(id);
+        let job = self.status(id).await?;
+        if !job.status.is_active() || limit.is_zero() {
+            return Ok(job);
+        }
+        tokio::select! {
+            // The sender lives in `watch`, so the wait does not fail.
+            _ = watch.changes.wait_for(|live| live.ended) => {}
+            () = self.will_not_start(id) => {}
+            () = tokio::time::sleep(limit) => {}
+        }
+        self.status(id).await
+    }
+
+    /// Ready when the service drains and the job does not run.
+    async fn will_not_start(&self, id: JobId) {
+        // The sender lives in `shared`, so the wait does not fail.
+        self.shared.phase.subscribe().wait_for(|phase| *phase != Phase::Open).await.ok();
+        if self.status(id).await.is_ok_and(|job| job.status == JobStatus::Running) {
+            // Its worker ends the wait, also when it puts the job back.
+            std::future::pending::<()>().await;
+        }
+    }
+
+    /// Jobs, newest first.
+    pub async fn list(&self, query: ListQuery) -> Result<Page, JobError> {
+        let page = self.shared.store.list(query).await?;
+        let jobs = page.jobs.into_iter().map(|job| self.with_progress(job)).collect();
+        Ok(Page { jobs, next: page.next })
+    }
+
+    pub async fn counts(&self) -> Result<Counts, JobError> {
+        Ok(self.shared.store.counts().await?)
+    }
+
+    /// Cancels an active job; purges one that has ended, and its files.
+    pub async fn remove(&self, id: JobId) -> Result<Removed, JobError> {
+        let (store, board) = (&self.shared.store, &self.shared.board);
+        // Each turn ends unless the job changed its state in between.
+        loop {
+            let job = store.get(id).await?.ok_or(JobError::NotFound { id })?;
+            if job.status.is_active() {
+                if store.dismiss(id, self.shared.clock.now_ms()).await? {
+                    board.cancel(id);
+                    board.end(id);
+                    tracing::info!(%id, "dismissed");
+                    return Ok(Removed::Dismissed(Box::new(self.status(id).await?)));
+                }
+            } else if store.delete(id).await? {
+                self.purge_files(&job).await;
+                tracing::info!(%id, "purged");
+                return Ok(Removed::Purged);
+            }
+        }
+    }
+
+    /// The row is gone already, so a file that cannot be removed now goes at the next start.
+    async fn purge_files(&self, job: &Job) {
+        let results = job.artifacts.iter().map(|artifact| &artifact.key);
+        for key in std::iter::once(&job.input.key).chain(results) {
+            if let Err(error) = self.shared.blobs.delete(key).await {
+                tracing::warn!(id = %job.id, %error, "a purged job's file stays until the next start");
+            }
+        }
+    }
+
+    /// A successful job's result in one form.
+    ///
+    /// # Errors
+    /// [`JobError::NotReady`], [`JobError::Failed`] or [`JobError::Dismissed`] by the job's state.
+    pub async fn result(&self, id: JobId, format: OutputFormat) -> Result<StoredArtifact, JobError> {
+        let job = self.shared.store.get(id).await?.ok_or(JobError::NotFound { id })?;
+        match (job.status, job.error) {
+            (JobStatus::Successful, _) => {
+                let found = job.artifacts.into_iter().find(|artifact| artifact.format == format);
+                found.ok_or(JobError::NoSuchResult { id, format })
+            }
+            (JobStatus::Failed, Some(failure)) => Err(JobError::Failed { id, failure: Box::new(failure) }),
+            (JobStatus::Dismissed, _) => Err(JobError::Dismissed { id }),
+            (status, _) => Err(JobError::NotReady { id, status }),
+        }
+    }
+
+    /// The bytes of a result, or of a range within it.
+    pub async fn open_result(
+        &self,
+        artifact: &StoredArtifact,
+        range: Option<Range<u64>>,
+    ) -> Result<BlobReader, JobError> {
+        Ok(self.shared.blobs.open(&artifact.key, range).await?)
+    }
+
+    /// Whether requests can be served: the stores can be written and no shutdown is under way.
+    pub async fn ready(&self) -> Result<(), Unready> {
+        let mut reasons = Vec::new();
+        if self.phase() != Phase::Open {
+            reasons.push(JobError::ShuttingDown.to_string());
+        }
+        if let Err(error) = self.shared.store.check().await {
+            reasons.push(error.to_string());
+        }
+        if let Err(error) = self.shared.blobs.check().await {
+            reasons.push(error.to_string());
+        }
+        if reasons.is_empty() { Ok(()) } else { Err(Unready { reasons }) }
+    }
+
+    /// Refuses new jobs from now on; running ones go on.
+    pub fn drain(&self) {
+        self.shared.phase.send_if_modified(|phase| {
+            let open = *phase == Phase::Open;
+            if open {
+                *phase = Phase::Draining;
+            }
+            open
+        });
+    }
+
+    /// Drains, lets running jobs finish within `grace`, puts the others back, and closes the store.
+    pub async fn shutdown(&self, grace: Duration) {
+        self.drain();
+        let workers = std::mem::take(&mut *self.workers.lock().unwrap_or_else(PoisonError::into_inner));
+        let mut all = futures::future::join_all(workers);
+        if tokio::time::timeout(grace, &mut all).await.is_err() {
+            self.shared.phase.send_replace(Phase::Stopping);
+            self.shared.board.cancel_all();
+            all.await;
+        }
+        self.shared.store.close().await;
+    }
+}
+
+impl Drop for JobService {
+    /// Stops the workers of a service that was not shut down; its jobs run again at the next start.
+    fn drop(&mut self) {
+        self.shared.phase.send_replace(Phase::Stopping);
+    }
+}
+
+/// Commits the row of an uploaded job and wakes a worker.
+async fn accept(mut upload: Upload, spec: JobSpec) -> Result<Job, JobError> {
+    let shared = upload.shared.clone();
+    // An upload holds its input until it is taken here or in `drop`.
+    let Some(input) = upload.input.clone() else { return Err(JobError::NotFound { id: upload.id }) };
+    let job = Job::accepted(upload.id, input, spec, shared.clock.now_ms());
+    if let Err(error) = shared.store.insert(&job).await {
+        // The commit may have happened all the same; only then does the file belong to a row.
+        match shared.store.get(job.id).await {
+            Ok(None) => return Err(error.into()),
+            Ok(Some(_)) => {}
+            Err(_) => {
+                upload.input = None;
+                return Err(error.into());
+            }
+        }
+    }
+    upload.input = None;
+    shared.wake.notify_one();
+    tracing::info!(id = %job.id, bytes = job.input.size, "accepted");
+    Ok(job)
+}

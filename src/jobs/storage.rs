@@ -1,0 +1,31 @@
+//! The two stores of a service, and the folder that holds both.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use super::blob::{BlobStore, LocalBlobs};
+use super::store::{JobStore, SqlStore};
+use super::{DataFolder, JobError};
+
+/// Where jobs and their files are kept.
+pub struct Storage {
+    pub store: Arc<dyn JobStore>,
+    pub blobs: Arc<dyn BlobStore>,
+    /// Kept locked while the service or one of its workers lives.
+    pub folder: Option<DataFolder>,
+}
+
+impl Storage {
+    /// SQLite and files in one folder, which is created if it is missing.
+    pub async fn local(data: &Path) -> Result<Self, JobError> {
+        let data = data.to_owned();
+        let (folder, blobs) = tokio::task::spawn_blocking(move || {
+            let folder = DataFolder::open(&data)?;
+            let blobs = LocalBlobs::open(&folder.blobs())?;
+            Ok::<_, JobError>((folder, blobs))
+        })
+        .await??;
+        let store = Arc::new(SqlStore::open(&folder.database_url()).await?);
+        Ok(Self { store, blobs: Arc::new(blobs), folder: Some(folder) })
+    }
+}

@@ -1,0 +1,132 @@
+//! The job store: one table, opened by URL.
+
+mod row;
+mod sql;
+#[cfg(test)]
+mod tests;
+
+use std::collections::HashSet;
+
+use futures::future::BoxFuture;
+
+use super::{Counts, Job, JobFailure, JobId, JobStatus, Lease, StoredArtifact};
+
+pub use sql::SqlStore;
+
+/// Why the store did not do as asked.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    #[error("the job database is full: {0}; free space on the data folder's disk")]
+    Full(sqlx::Error),
+    #[error("the job database failed: {0}")]
+    Database(#[from] sqlx::Error),
+    #[error(
+        "the job database cannot be brought to this version's form: {0}; was it written by a newer version?"
+    )]
+    Migrate(#[from] sqlx::migrate::MigrateError),
+    #[error("job {id} has an unreadable {column} in the database: {detail}")]
+    Corrupt { id: String, column: &'static str, detail: String },
+    #[error("there is no store for the URL scheme '{scheme}'; use sqlite:")]
+    Scheme { scheme: String },
+}
+
+/// What a store method answers.
+pub type StoreFuture<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
+
+/// Which jobs, newest first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ListQuery {
+    pub status: Option<JobStatus>,
+    /// Only jobs older than this one: the `next` of the page before.
+    pub before: Option<JobId>,
+    /// At least 1.
+    pub limit: u32,
+}
+
+/// One page of a list.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Page {
+    pub jobs: Vec<Job>,
+    /// The `before` of the next page, if there is one.
+    pub next: Option<JobId>,
+}
+
+/// What [`JobStore::recover`] did.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Recovered {
+    /// Jobs put back to `accepted`.
+    pub requeued: u64,
+    /// Jobs given up.
+    pub failed: u64,
+}
+
+/// The durable table of jobs.
+///
+/// A change is on disk when its future is ready. Where a [`Lease`] is asked for, the change happens only
+/// if the job still runs under that lease; the answer says whether it did. Times are epoch milliseconds.
+pub trait JobStore: Send + Sync + 'static {
+    fn insert<'a>(&'a self, job: &'a Job) -> StoreFuture<'a, ()>;
+
+    fn get(&self, id: JobId) -> StoreFuture<'_, Option<Job>>;
+
+    fn list(&self, query: ListQuery) -> StoreFuture<'_, Page>;
+
+    /// Sets the oldest waiting job running under `lease` and counts the attempt.
+    ///
+    /// Jobs that were running when the process died run one at a time, so that one which takes the
+    /// process down again does not use up the attempts of its neighbours.
+    fn claim<'a>(&'a self, lease: &'a Lease, now: i64) -> StoreFuture<'a, Option<Job>>;
+
+    fn progress<'a>(
+        &'a self,
+        id: JobId,
+        lease: &'a Lease,
+        percent: u8,
+        stage: Option<&'a str>,
+        now: i64,
+    ) -> StoreFuture<'a, bool>;
+
+    /// running → successful.
+    fn succeed<'a>(
+        &'a self,
+        id: JobId,
+        lease: &'a Lease,
+        artifacts: &'a [StoredArtifact],
+        now: i64,
+    ) -> StoreFuture<'a, bool>;
+
+    /// running → failed, at the progress and stage last written.
+    fn fail<'a>(
+        &'a self,
+        id: JobId,
+        lease: &'a Lease,
+        failure: &'a JobFailure,
+        now: i64,
+    ) -> StoreFuture<'a, bool>;
+
+    /// running → accepted, by an orderly shutdown: the attempt does not count.
+    fn release<'a>(&'a self, id: JobId, lease: &'a Lease, now: i64) -> StoreFuture<'a, bool>;
+
+    /// accepted or running → dismissed. `false`: it was neither.
+    fn dismiss(&self, id: JobId, now: i64) -> StoreFuture<'_, bool>;
+
+    /// Removes the row of a job that has ended. `false`: there is none, or it is active.
+    fn delete(&self, id: JobId) -> StoreFuture<'_, bool>;
+
+    /// Every running job → accepted, or → failed with [`JobFailure::crashed`] once it was started
+    /// `max_attempts` times. For the start of a process that has the store for itself.
+    fn recover(&self, max_attempts: u32, now: i64) -> StoreFuture<'_, Recovered>;
+
+    fn counts(&self) -> StoreFuture<'_, Counts>;
+
+    fn newest(&self) -> StoreFuture<'_, Option<JobId>>;
+
+    /// The keys of every blob that one of these jobs owns.
+    fn blob_keys<'a>(&'a self, ids: &'a [JobId]) -> StoreFuture<'a, HashSet<String>>;
+
+    /// Fails unless the store can be reached and written.
+    fn check(&self) -> StoreFuture<'_, ()>;
+
+    /// Finishes what is under way and closes.
+    fn close(&self) -> BoxFuture<'_, ()>;
+}

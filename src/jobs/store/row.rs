@@ -1,0 +1,96 @@
+//! Between a [`Job`] and its row.
+
+use sqlx::any::AnyRow;
+use sqlx::{Any, ColumnIndex, Decode, Row, Type};
+
+use super::StoreError;
+use crate::jobs::{FileName, FormatHint, Job, JobId, JobSpec, Lease, StoredInput};
+
+/// Reads `column` of `row`.
+fn column<'r, T>(row: &'r AnyRow, column: &'static str) -> Result<T, StoreError>
+where
+    T: Decode<'r, Any> + Type<Any>,
+    &'static str: ColumnIndex<AnyRow>,
+{
+    Ok(row.try_get(column)?)
+}
+
+/// A decoder of the columns of one job, for errors that say which.
+struct Columns<'r> {
+    row: &'r AnyRow,
+    id: String,
+}
+
+impl Columns<'_> {
+    fn corrupt(&self, column: &'static str, detail: impl ToString) -> StoreError {
+        StoreError::Corrupt { id: self.id.clone(), column, detail: detail.to_string() }
+    }
+
+    fn text(&self, name: &'static str) -> Result<String, StoreError> {
+        column(self.row, name)
+    }
+
+    fn optional_text(&self, name: &'static str) -> Result<Option<String>, StoreError> {
+        column(self.row, name)
+    }
+
+    fn parsed<T: std::str::FromStr<Err: ToString>>(&self, name: &'static str) -> Result<T, StoreError> {
+        self.text(name)?.parse().map_err(|error: T::Err| self.corrupt(name, error.to_string()))
+    }
+
+    fn json<T: serde::de::DeserializeOwned>(&self, name: &'static str, text: &str) -> Result<T, StoreError> {
+        serde_json::from_str(text).map_err(|error| self.corrupt(name, error))
+    }
+
+    fn number<T: TryFrom<i64, Error: ToString>>(&self, name: &'static str) -> Result<T, StoreError> {
+        let value: i64 = column(self.row, name)?;
+        T::try_from(value).map_err(|error| self.corrupt(name, error.to_string()))
+    }
+}
+
+/// The job in `row`, which has every column of the table.
+pub(super) fn job(row: &AnyRow) -> Result<Job, StoreError> {
+    let columns = Columns { row, id: column(row, "id")? };
+    let error = match columns.optional_text("error")? {
+        Some(text) => Some(columns.json("error", &text)?),
+        None => None,
+    };
+    Ok(Job {
+        id: columns.parsed::<JobId>("id")?,
+        status: columns.parsed("status")?,
+        progress: columns.number("progress")?,
+        stage: columns.optional_text("stage")?,
+        created: column(row, "created")?,
+        started: column(row, "started")?,
+        updated: column(row, "updated")?,
+        finished: column(row, "finished")?,
+        error,
+        input: StoredInput {
+            key: columns.text("input_key")?,
+            size: columns.number("input_size")?,
+            sha256: columns.text("input_sha256")?,
+        },
+        spec: JobSpec {
+            hint: FormatHint {
+                extension: columns.optional_text("hint_extension")?,
+                content_type: columns.optional_text("hint_content_type")?,
+            },
+            name: columns.optional_text("name")?.map(FileName::new),
+            units: columns.parsed("units")?,
+            parameters: columns.json("parameters", &columns.text("parameters")?)?,
+        },
+        artifacts: columns.json("artifacts", &columns.text("artifacts")?)?,
+        attempts: columns.number("attempts")?,
+        lease: columns.optional_text("lease")?.map(Lease::from_stored),
+    })
+}
+
+/// JSON for a TEXT column.
+pub(super) fn json(value: &impl serde::Serialize) -> Result<String, StoreError> {
+    serde_json::to_string(value).map_err(|error| StoreError::Database(sqlx::Error::Encode(error.into())))
+}
+
+/// A count or size for a BIGINT column.
+pub(super) fn bigint(value: u64) -> i64 {
+    i64::try_from(value).unwrap_or(i64::MAX)
+}

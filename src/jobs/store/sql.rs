@@ -1,0 +1,338 @@
+//! The store on SQL through sqlx's `Any` driver.
+//!
+//! Statements keep to what SQLite and PostgreSQL share: `$N` binds, `RETURNING`, no upserts.
+
+use std::collections::HashSet;
+use std::time::Duration;
+
+use futures::FutureExt;
+use futures::future::BoxFuture;
+use sqlx::any::{AnyArguments, AnyPoolOptions};
+use sqlx::query::Query;
+use sqlx::{Any, AnyPool, AssertSqlSafe, Row};
+
+use super::row::{bigint, job, json};
+use super::{JobStore, ListQuery, Page, Recovered, StoreError, StoreFuture};
+use crate::jobs::{Counts, Job, JobFailure, JobId, JobStatus, Lease, StoredArtifact};
+
+/// How long a statement waits for another process that holds SQLite's lock (a backup, say).
+const BUSY: Duration = Duration::from_secs(10);
+const READERS: u32 = 4;
+
+/// Jobs in an SQL table.
+pub struct SqlStore {
+    readers: AnyPool,
+    /// SQLite has one writer at a time: one connection queues writes fairly where locks would not.
+    writer: AnyPool,
+}
+
+/// A statement with its binds.
+type Statement<'q> = Query<'q, Any, AnyArguments>;
+
+impl SqlStore {
+    /// Opens the database at `url` and brings its tables to this version's form.
+    ///
+    /// # Errors
+    /// [`StoreError`] when it cannot be opened, or was written by a newer version.
+    pub async fn open(url: &str) -> Result<Self, StoreError> {
+        sqlx::any::install_default_drivers();
+        let scheme = url.split(':').next().unwrap_or_default();
+        if scheme != "sqlite" {
+            return Err(StoreError::Scheme { scheme: scheme.to_owned() });
+        }
+        let writer = sqlite_pool(1).connect(url).await?;
+        sqlx::migrate!("src/jobs/store/migrations").run(&writer).await?;
+        let readers = sqlite_pool(READERS).connect(url).await?;
+        Ok(Self { readers, writer })
+    }
+
+    #[cfg(test)]
+    pub(super) fn pools(&self) -> [&AnyPool; 2] {
+        [&self.readers, &self.writer]
+    }
+
+    /// Runs a change; the number of rows changed.
+    async fn change(&self, statement: Statement<'_>) -> Result<u64, StoreError> {
+        Ok(statement.execute(&self.writer).await.map_err(classified)?.rows_affected())
+    }
+
+    /// Runs a change of one job that is in the right state; whether it was.
+    async fn fenced(&self, statement: Statement<'_>) -> Result<bool, StoreError> {
+        Ok(self.change(statement).await? > 0)
+    }
+
+    /// Fails the job under `lease`, of which no more is known.
+    async fn fail_unreadable(&self, lease: &Lease, now: i64) -> Result<u64, StoreError> {
+        let sql = "UPDATE jobs SET status = 'failed', error = $1, updated = $2, finished = $2, lease = NULL \
+                   WHERE lease = $3 AND status = 'running'";
+        let failure = json(&JobFailure::unreadable_row())?;
+        self.change(sqlx::query(sql).bind(failure).bind(now).bind(lease.as_str())).await
+    }
+}
+
+/// WAL lets readers work beside the writer; FULL makes a commit survive a power cut.
+fn sqlite_pool(connections: u32) -> AnyPoolOptions {
+    AnyPoolOptions::new()
+        .min_connections(connections)
+        .max_connections(connections)
+        .idle_timeout(None)
+        .max_lifetime(None)
+        .after_connect(|connection, _| {
+            Box::pin(async move {
+                let pragmas = format!(
+                    "PRAGMA busy_timeout = {}; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL;",
+                    BUSY.as_millis()
+                );
+                sqlx::raw_sql(AssertSqlSafe(pragmas)).execute(connection).await?;
+                Ok(())
+            })
+        })
+}
+
+/// Tells a full disk (SQLITE_FULL, 13) from other failures.
+fn classified(error: sqlx::Error) -> StoreError {
+    let full = error.as_database_error().and_then(|inner| inner.code()).is_some_and(|code| code == "13");
+    if full { StoreError::Full(error) } else { StoreError::Database(error) }
+}
+
+impl JobStore for SqlStore {
+    fn insert<'a>(&'a self, job: &'a Job) -> StoreFuture<'a, ()> {
+        async move {
+            let sql = "INSERT INTO jobs (id, status, progress, stage, created, started, updated, finished, error, \
+                       input_key, input_size, input_sha256, hint_extension, hint_content_type, name, units, parameters, artifacts, \
+                       attempts, lease) \
+                       VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, $18, $19, $20)";
+            let error = job.error.as_ref().map(json).transpose()?;
+            let statement = sqlx::query(sql)
+                .bind(job.id.to_string())
+                .bind(job.status.name())
+                .bind(i64::from(job.progress))
+                .bind(job.stage.clone())
+                .bind(job.created)
+                .bind(job.started)
+                .bind(job.updated)
+                .bind(job.finished)
+                .bind(error)
+                .bind(job.input.key.clone())
+                .bind(bigint(job.input.size))
+                .bind(job.input.sha256.clone())
+                .bind(job.spec.hint.extension.clone())
+                .bind(job.spec.hint.content_type.clone())
+                .bind(job.spec.name.as_ref().map(|name| name.expose().to_owned()))
+                .bind(job.spec.units.name())
+                .bind(json(&job.spec.parameters)?)
+                .bind(json(&job.artifacts)?)
+                .bind(i64::from(job.attempts))
+                .bind(job.lease.as_ref().map(|lease| lease.as_str().to_owned()));
+            self.change(statement).await?;
+            Ok(())
+        }
+        .boxed()
+    }
+
+    fn get(&self, id: JobId) -> StoreFuture<'_, Option<Job>> {
+        async move {
+            let query = sqlx::query("SELECT * FROM jobs WHERE id = $1").bind(id.to_string());
+            let row = query.fetch_optional(&self.readers).await?;
+            row.as_ref().map(job).transpose()
+        }
+        .boxed()
+    }
+
+    fn list(&self, query: ListQuery) -> StoreFuture<'_, Page> {
+        async move {
+            // The text of every id sorts below "~".
+            let before = query.before.map_or_else(|| "~".to_owned(), |id| id.to_string());
+            let sql = match query.status {
+                None => "SELECT * FROM jobs WHERE id < $1 ORDER BY id DESC LIMIT $2",
+                Some(_) => "SELECT * FROM jobs WHERE id < $1 AND status = $3 ORDER BY id DESC LIMIT $2",
+            };
+            let limit = query.limit.max(1);
+            let mut statement = sqlx::query(sql).bind(before).bind(i64::from(limit) + 1);
+            if let Some(status) = query.status {
+                statement = statement.bind(status.name());
+            }
+            let rows = statement.fetch_all(&self.readers).await?;
+            let limit = usize::try_from(limit).unwrap_or(usize::MAX);
+            let jobs: Vec<Job> = rows.iter().take(limit).map(job).collect::<Result<_, _>>()?;
+            let next = if rows.len() > limit { jobs.last().map(|job| job.id) } else { None };
+            Ok(Page { jobs, next })
+        }
+        .boxed()
+    }
+
+    fn claim<'a>(&'a self, lease: &'a Lease, now: i64) -> StoreFuture<'a, Option<Job>> {
+        async move {
+            let sql = "UPDATE jobs SET status = 'running', lease = $1, started = $2, updated = $2, \
+                       attempts = attempts + 1, progress = 0, stage = NULL \
+                       WHERE status = 'accepted' AND id = ( \
+                           SELECT id FROM jobs WHERE status = 'accepted' AND (attempts = 0 OR NOT EXISTS ( \
+                               SELECT 1 FROM jobs AS other WHERE other.status = 'running' AND other.attempts > 1)) \
+                           ORDER BY id LIMIT 1) \
+                       RETURNING *";
+            let query = sqlx::query(sql).bind(lease.as_str()).bind(now);
+            // All rows, so that the statement is stepped to its end and commits.
+            let rows = query.fetch_all(&self.writer).await.map_err(classified)?;
+            let claimed = rows.first().map(job).transpose();
+            if let Err(StoreError::Corrupt { .. }) = &claimed {
+                self.fail_unreadable(lease, now).await?;
+            }
+            claimed
+        }
+        .boxed()
+    }
+
+    fn progress<'a>(
+        &'a self,
+        id: JobId,
+        lease: &'a Lease,
+        percent: u8,
+        stage: Option<&'a str>,
+        now: i64,
+    ) -> StoreFuture<'a, bool> {
+        let sql = "UPDATE jobs SET progress = $3, stage = $4, updated = $5 \
+                   WHERE id = $1 AND lease = $2 AND status = 'running'";
+        let statement = sqlx::query(sql)
+            .bind(id.to_string())
+            .bind(lease.as_str())
+            .bind(i64::from(percent))
+            .bind(stage)
+            .bind(now);
+        self.fenced(statement).boxed()
+    }
+
+    fn succeed<'a>(
+        &'a self,
+        id: JobId,
+        lease: &'a Lease,
+        artifacts: &'a [StoredArtifact],
+        now: i64,
+    ) -> StoreFuture<'a, bool> {
+        async move {
+            let sql = "UPDATE jobs SET status = 'successful', artifacts = $3, updated = $4, finished = $4, \
+                       progress = 100, stage = NULL, lease = NULL \
+                       WHERE id = $1 AND lease = $2 AND status = 'running'";
+            let artifacts = json(&artifacts)?;
+            let statement =
+                sqlx::query(sql).bind(id.to_string()).bind(lease.as_str()).bind(artifacts).bind(now);
+            self.fenced(statement).await
+        }
+        .boxed()
+    }
+
+    fn fail<'a>(
+        &'a self,
+        id: JobId,
+        lease: &'a Lease,
+        failure: &'a JobFailure,
+        now: i64,
+    ) -> StoreFuture<'a, bool> {
+        async move {
+            let sql = "UPDATE jobs SET status = 'failed', error = $3, updated = $4, finished = $4, lease = NULL \
+                       WHERE id = $1 AND lease = $2 AND status = 'running'";
+            let failure = json(failure)?;
+            let statement = sqlx::query(sql).bind(id.to_string()).bind(lease.as_str()).bind(failure).bind(now);
+            self.fenced(statement).await
+        }
+        .boxed()
+    }
+
+    fn release<'a>(&'a self, id: JobId, lease: &'a Lease, now: i64) -> StoreFuture<'a, bool> {
+        let sql = "UPDATE jobs SET status = 'accepted', attempts = attempts - 1, updated = $3, progress = 0, \
+                   stage = NULL, started = NULL, lease = NULL \
+                   WHERE id = $1 AND lease = $2 AND status = 'running'";
+        self.fenced(sqlx::query(sql).bind(id.to_string()).bind(lease.as_str()).bind(now)).boxed()
+    }
+
+    fn dismiss(&self, id: JobId, now: i64) -> StoreFuture<'_, bool> {
+        let sql = "UPDATE jobs SET status = 'dismissed', updated = $2, finished = $2, lease = NULL \
+                   WHERE id = $1 AND status IN ('accepted', 'running')";
+        self.fenced(sqlx::query(sql).bind(id.to_string()).bind(now)).boxed()
+    }
+
+    fn delete(&self, id: JobId) -> StoreFuture<'_, bool> {
+        let sql = "DELETE FROM jobs WHERE id = $1 AND status NOT IN ('accepted', 'running')";
+        self.fenced(sqlx::query(sql).bind(id.to_string())).boxed()
+    }
+
+    fn recover(&self, max_attempts: u32, now: i64) -> StoreFuture<'_, Recovered> {
+        async move {
+            let failure = json(&JobFailure::crashed(max_attempts))?;
+            let give_up = "UPDATE jobs SET status = 'failed', error = $1, updated = $2, finished = $2, lease = NULL \
+                           WHERE status = 'running' AND attempts >= $3";
+            let give_up = sqlx::query(give_up).bind(failure).bind(now).bind(i64::from(max_attempts));
+            let failed = self.change(give_up).await?;
+            let put_back = "UPDATE jobs SET status = 'accepted', updated = $1, progress = 0, stage = NULL, \
+                            started = NULL, lease = NULL WHERE status = 'running'";
+            let requeued = self.change(sqlx::query(put_back).bind(now)).await?;
+            Ok(Recovered { requeued, failed })
+        }
+        .boxed()
+    }
+
+    fn counts(&self) -> StoreFuture<'_, Counts> {
+        async move {
+            let query = sqlx::query("SELECT status, COUNT(*) AS jobs FROM jobs GROUP BY status");
+            let mut counts = Counts::default();
+            for row in query.fetch_all(&self.readers).await? {
+                let (status, jobs): (String, i64) = (row.try_get("status")?, row.try_get("jobs")?);
+                let slot = match status.parse() {
+                    Ok(JobStatus::Accepted) => &mut counts.accepted,
+                    Ok(JobStatus::Running) => &mut counts.running,
+                    Ok(JobStatus::Successful) => &mut counts.successful,
+                    Ok(JobStatus::Failed) => &mut counts.failed,
+                    Ok(JobStatus::Dismissed) => &mut counts.dismissed,
+                    Err(_) => continue,
+                };
+                *slot = u64::try_from(jobs).unwrap_or(0);
+            }
+            Ok(counts)
+        }
+        .boxed()
+    }
+
+    fn newest(&self) -> StoreFuture<'_, Option<JobId>> {
+        async move {
+            let page = self.list(ListQuery { status: None, before: None, limit: 1 }).await?;
+            Ok(page.jobs.first().map(|job| job.id))
+        }
+        .boxed()
+    }
+
+    fn blob_keys<'a>(&'a self, ids: &'a [JobId]) -> StoreFuture<'a, HashSet<String>> {
+        async move {
+            let binds: Vec<String> = (1..=ids.len()).map(|place| format!("${place}")).collect();
+            let sql = format!("SELECT * FROM jobs WHERE id IN ({})", binds.join(", "));
+            // Safe: the text is made of `$N` alone.
+            let mut query = sqlx::query(AssertSqlSafe(sql)).persistent(false);
+            for id in ids {
+                query = query.bind(id.to_string());
+            }
+            let mut keys = HashSet::new();
+            for row in query.fetch_all(&self.readers).await? {
+                let job = job(&row)?;
+                keys.insert(job.input.key);
+                keys.extend(job.artifacts.into_iter().map(|artifact| artifact.key));
+            }
+            Ok(keys)
+        }
+        .boxed()
+    }
+
+    fn check(&self) -> StoreFuture<'_, ()> {
+        async move {
+            // Takes the write lock and writes nothing.
+            self.change(sqlx::query("DELETE FROM jobs WHERE id = ''")).await?;
+            Ok(())
+        }
+        .boxed()
+    }
+
+    fn close(&self) -> BoxFuture<'_, ()> {
+        async move {
+            self.readers.close().await;
+            self.writer.close().await;
+        }
+        .boxed()
+    }
+}

@@ -1,0 +1,277 @@
+//! What every job store must do, tried on SQLite.
+
+use std::collections::HashSet;
+use std::sync::Arc;
+
+use sqlx::{Connection, Row};
+use tempfile::TempDir;
+
+use super::*;
+use crate::jobs::{FileName, FormatHint, IdSource, JobSpec, ManualClock, StoredInput};
+use crate::mesh::Units;
+use crate::output::OutputFormat;
+
+struct Fixture {
+    store: SqlStore,
+    ids: IdSource,
+    dir: TempDir,
+}
+
+impl Fixture {
+    async fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let store = SqlStore::open(&url(&dir)).await.unwrap();
+        Self { store, ids: IdSource::new(Arc::new(ManualClock::new(1_000)), None), dir }
+    }
+
+    async fn insert(&self) -> Job {
+        let id = self.ids.next();
+        let input = StoredInput { key: format!("{id}/input"), size: 84, sha256: "ab".repeat(32) };
+        let job = Job::accepted(id, input, JobSpec::default(), 1_000);
+        self.store.insert(&job).await.unwrap();
+        job
+    }
+
+    async fn get(&self, id: JobId) -> Job {
+        self.store.get(id).await.unwrap().unwrap()
+    }
+
+    /// A claimed job and its lease.
+    async fn claim(&self) -> (Job, Lease) {
+        let lease = Lease::new();
+        (self.store.claim(&lease, 2_000).await.unwrap().unwrap(), lease)
+    }
+
+    /// The statement's first column, by a connection of its own.
+    async fn ask(&self, sql: &'static str) -> String {
+        let mut connection = sqlx::AnyConnection::connect(&url(&self.dir)).await.unwrap();
+        sqlx::query(sql).fetch_one(&mut connection).await.unwrap().get(0)
+    }
+}
+
+fn url(dir: &TempDir) -> String {
+    format!("sqlite://{}/jobs.sqlite?mode=rwc", dir.path().display())
+}
+
+fn artifact(id: JobId) -> StoredArtifact {
+    StoredArtifact { format: OutputFormat::Glb, key: format!("{id}/x/glb"), size: 7, sha256: "cd".repeat(32) }
+}
+
+#[tokio::test]
+async fn a_job_reads_back_as_it_was_inserted_also_after_reopening() {
+    let fixture = Fixture::new().await;
+    let mut job = fixture.insert().await;
+    assert_eq!(fixture.get(job.id).await, job);
+    job.id = fixture.ids.next();
+    job.spec.name = Some(FileName::new("d'oe\"; DROP TABLE jobs; -- ñ.stl"));
+    job.spec.units = Units::Inches;
+    job.spec.hint = FormatHint { extension: Some("stl".into()), content_type: Some("model/stl".into()) };
+    job.spec.parameters.values.insert("omega".into(), 0.1 + 0.2);
+    job.stage = Some("tips".into());
+    (job.progress, job.started, job.finished, job.attempts) = (57, Some(3), Some(4), 2);
+    job.error = Some(JobFailure::new("code", 422, "title", "detail"));
+    job.artifacts = vec![artifact(job.id)];
+    job.lease = Some(Lease::new());
+    fixture.store.insert(&job).await.unwrap();
+    fixture.store.close().await;
+    let reopened = SqlStore::open(&url(&fixture.dir)).await.unwrap();
+    assert_eq!(reopened.get(job.id).await.unwrap(), Some(job.clone()));
+    assert_eq!(reopened.newest().await.unwrap(), Some(job.id));
+    assert!(reopened.insert(&job).await.is_err(), "an id is taken once");
+}
+
+#[tokio::test]
+async fn commits_survive_a_power_cut_and_readers_do_not_wait() {
+    let fixture = Fixture::new().await;
+    assert_eq!(fixture.ask("SELECT CAST(journal_mode AS TEXT) FROM pragma_journal_mode").await, "wal");
+    // `synchronous` is a connection's own: ask the store's.
+    for pool in fixture.store.pools() {
+        let row = sqlx::query("SELECT synchronous FROM pragma_synchronous").fetch_one(pool).await.unwrap();
+        assert_eq!(row.get::<i64, _>(0), 2, "FULL");
+    }
+}
+
+#[tokio::test]
+async fn jobs_are_claimed_oldest_first_and_once() {
+    let fixture = Fixture::new().await;
+    let (first, second) = (fixture.insert().await, fixture.insert().await);
+    let (claimed, lease) = fixture.claim().await;
+    assert_eq!((claimed.id, claimed.status, claimed.attempts), (first.id, JobStatus::Running, 1));
+    assert_eq!((claimed.lease, claimed.started), (Some(lease), Some(2_000)));
+    assert_eq!(fixture.claim().await.0.id, second.id);
+    assert_eq!(fixture.store.claim(&Lease::new(), 2_000).await.unwrap(), None);
+}
+
+#[tokio::test]
+async fn fifty_claims_at_once_get_fifty_different_jobs() {
+    let fixture = Fixture::new().await;
+    for _ in 0..50 {
+        fixture.insert().await;
+    }
+    let claims = (0..60).map(|_| async {
+        let lease = Lease::new();
+        fixture.store.claim(&lease, 2_000).await.unwrap().map(|job| job.id)
+    });
+    let claimed: Vec<JobId> = futures::future::join_all(claims).await.into_iter().flatten().collect();
+    assert_eq!(claimed.len(), 50);
+    assert_eq!(claimed.iter().collect::<HashSet<_>>().len(), 50);
+}
+
+#[tokio::test]
+async fn an_update_without_the_lease_changes_nothing() {
+    let fixture = Fixture::new().await;
+    fixture.insert().await;
+    let (job, lease) = fixture.claim().await;
+    let (store, failure, other) = (&fixture.store, JobFailure::panicked(), Lease::new());
+    assert!(!store.progress(job.id, &other, 50, Some("tips"), 3_000).await.unwrap());
+    assert!(!store.succeed(job.id, &other, &[artifact(job.id)], 3_000).await.unwrap());
+    assert!(!store.fail(job.id, &other, &failure, 3_000).await.unwrap());
+    assert!(!store.release(job.id, &other, 3_000).await.unwrap());
+    assert_eq!(fixture.get(job.id).await, job);
+    assert!(store.progress(job.id, &lease, 50, Some("tips"), 3_000).await.unwrap());
+    let running = fixture.get(job.id).await;
+    assert_eq!((running.progress, running.stage.as_deref(), running.updated), (50, Some("tips"), 3_000));
+    assert!(store.succeed(job.id, &lease, &[artifact(job.id)], 4_000).await.unwrap());
+    let done = fixture.get(job.id).await;
+    assert_eq!((done.status, done.progress, done.finished), (JobStatus::Successful, 100, Some(4_000)));
+    assert_eq!((done.artifacts, done.lease), (vec![artifact(job.id)], None));
+    assert!(!store.fail(job.id, &lease, &failure, 5_000).await.unwrap(), "a job ends once");
+    assert!(!store.dismiss(job.id, 5_000).await.unwrap());
+}
+
+#[tokio::test]
+async fn a_dismissed_job_cannot_be_finished_by_its_worker() {
+    let fixture = Fixture::new().await;
+    fixture.insert().await;
+    let (job, lease) = fixture.claim().await;
+    assert!(!fixture.store.delete(job.id).await.unwrap(), "an active job is not deleted");
+    assert!(fixture.store.dismiss(job.id, 3_000).await.unwrap());
+    assert!(!fixture.store.dismiss(job.id, 3_000).await.unwrap());
+    assert!(!fixture.store.succeed(job.id, &lease, &[], 4_000).await.unwrap());
+    assert!(!fixture.store.release(job.id, &lease, 4_000).await.unwrap());
+    assert_eq!(fixture.get(job.id).await.status, JobStatus::Dismissed);
+    assert!(fixture.store.delete(job.id).await.unwrap());
+    assert!(!fixture.store.delete(job.id).await.unwrap());
+    assert_eq!(fixture.store.get(job.id).await.unwrap(), None);
+}
+
+#[tokio::test]
+async fn an_orderly_release_does_not_count_as_an_attempt() {
+    let fixture = Fixture::new().await;
+    fixture.insert().await;
+    for _ in 0..5 {
+        let (job, lease) = fixture.claim().await;
+        assert_eq!(job.attempts, 1);
+        assert!(fixture.store.release(job.id, &lease, 3_000).await.unwrap());
+    }
+    assert_eq!(fixture.store.recover(3, 4_000).await.unwrap(), Recovered::default());
+}
+
+#[tokio::test]
+async fn a_job_that_crashes_three_times_is_given_up() {
+    let fixture = Fixture::new().await;
+    let job = fixture.insert().await;
+    for _ in 0..2 {
+        let (_, lease) = fixture.claim().await;
+        assert_eq!(fixture.store.recover(3, 3_000).await.unwrap(), Recovered { requeued: 1, failed: 0 });
+        assert!(!fixture.store.succeed(job.id, &lease, &[], 3_000).await.unwrap(), "its old lease is void");
+    }
+    fixture.claim().await;
+    assert_eq!(fixture.store.recover(3, 5_000).await.unwrap(), Recovered { requeued: 0, failed: 1 });
+    let failed = fixture.get(job.id).await;
+    assert_eq!((failed.status, failed.finished), (JobStatus::Failed, Some(5_000)));
+    assert_eq!(failed.error.map(|error| error.code).as_deref(), Some("crashed"));
+}
+
+#[tokio::test]
+async fn jobs_that_were_running_at_a_crash_run_one_at_a_time() {
+    let fixture = Fixture::new().await;
+    let (first, second) = (fixture.insert().await, fixture.insert().await);
+    fixture.claim().await;
+    fixture.claim().await;
+    fixture.store.recover(3, 3_000).await.unwrap();
+    let fresh = fixture.insert().await;
+    let (suspect, lease) = fixture.claim().await;
+    assert_eq!(suspect.id, first.id);
+    assert_eq!(fixture.claim().await.0.id, fresh.id, "new jobs go on beside a suspect");
+    assert_eq!(fixture.store.claim(&Lease::new(), 3_000).await.unwrap(), None);
+    assert!(fixture.store.succeed(first.id, &lease, &[], 4_000).await.unwrap());
+    assert_eq!(fixture.claim().await.0.id, second.id);
+}
+
+#[tokio::test]
+async fn pages_are_newest_first_and_hold_every_job_once() {
+    let fixture = Fixture::new().await;
+    let mut ids = Vec::new();
+    for place in 0..25 {
+        let job = fixture.insert().await;
+        if place % 5 == 0 {
+            assert!(fixture.store.dismiss(job.id, 2_000).await.unwrap());
+        }
+        ids.push(job.id);
+    }
+    for (status, limit) in [(None, 7), (Some(JobStatus::Dismissed), 2), (None, 25), (None, 1), (None, 100)] {
+        let mut query = ListQuery { status, before: None, limit };
+        let mut seen = Vec::new();
+        loop {
+            let page = fixture.store.list(query).await.unwrap();
+            assert!(page.jobs.len() <= limit as usize);
+            seen.extend(page.jobs.iter().map(|job| job.id));
+            // A job that comes in meanwhile belongs to no later page.
+            let Some(next) = page.next else { break };
+            query.before = Some(next);
+        }
+        let expected = ids.iter().enumerate().filter(|(place, _)| status.is_none() || place % 5 == 0);
+        let expected: Vec<JobId> = expected.map(|(_, id)| *id).rev().collect();
+        assert_eq!(seen, expected, "{status:?} by {limit}");
+    }
+    let counts = fixture.store.counts().await.unwrap();
+    assert_eq!(counts, Counts { accepted: 20, dismissed: 5, ..Counts::default() });
+}
+
+#[tokio::test]
+async fn the_blobs_of_jobs_are_named() {
+    let fixture = Fixture::new().await;
+    let (mut job, other) = (fixture.insert().await, fixture.insert().await);
+    job.id = fixture.ids.next();
+    job.artifacts = vec![artifact(job.id)];
+    fixture.store.insert(&job).await.unwrap();
+    let keys = fixture.store.blob_keys(&[job.id, fixture.ids.next()]).await.unwrap();
+    assert_eq!(keys, HashSet::from([job.input.key, artifact(job.id).key]));
+    assert!(!keys.contains(&other.input.key));
+}
+
+#[tokio::test]
+async fn an_unreadable_row_does_not_stop_the_queue() {
+    let fixture = Fixture::new().await;
+    let (broken, sound) = (fixture.insert().await, fixture.insert().await);
+    let sql = "UPDATE jobs SET parameters = '{' WHERE id = (SELECT MIN(id) FROM jobs) RETURNING id";
+    assert_eq!(fixture.ask(sql).await, broken.id.to_string());
+    let error = fixture.store.claim(&Lease::new(), 2_000).await.unwrap_err();
+    assert!(matches!(error, StoreError::Corrupt { column: "parameters", .. }), "{error}");
+    assert_eq!(fixture.claim().await.0.id, sound.id);
+    let counts = fixture.store.counts().await.unwrap();
+    assert_eq!(counts, Counts { running: 1, failed: 1, ..Counts::default() });
+}
+
+#[tokio::test]
+async fn other_databases_and_newer_ones_are_refused() {
+    let error = SqlStore::open("mysql://localhost/x").await.err().unwrap();
+    assert!(matches!(error, StoreError::Scheme { .. }), "{error}");
+    let fixture = Fixture::new().await;
+    let sql = "INSERT INTO _sqlx_migrations VALUES (9999, 'later', '2030-01-01', TRUE, x'00', 0) RETURNING description";
+    assert_eq!(fixture.ask(sql).await, "later");
+    let error = SqlStore::open(&url(&fixture.dir)).await.err().unwrap();
+    assert!(
+        matches!(error, StoreError::Migrate(_)) && error.to_string().contains("newer version"),
+        "{error}"
+    );
+}
+
+#[tokio::test]
+async fn a_check_fails_when_the_database_is_locked_away() {
+    let fixture = Fixture::new().await;
+    fixture.store.check().await.unwrap();
+    fixture.store.close().await;
+    assert!(fixture.store.check().await.is_err());
+}

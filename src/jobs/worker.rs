@@ -1,0 +1,324 @@
+//! The workers: each claims a job from the store, runs it on a rayon pool of its own, and settles it.
+//!
+//! A pool a worker, not one for all: a rayon thread that waits inside one job would otherwise pick up
+//! another whole job, and the first could neither end nor obey its cancellation until the second is done.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+use tokio::sync::{Notify, oneshot, watch};
+use tracing::Instrument;
+
+use super::blob::{BlobError, BlobStore};
+use super::live::{Board, Entry, Snapshot};
+use super::runner::{Artifact, JobRunner, RunControl, Work};
+use super::store::{JobStore, StoreError};
+use super::{Clock, DataFolder, Job, JobFailure, JobStage, Lease, Settings};
+
+/// How long a cancelled run may take to stop before its worker goes on without it.
+const STOP_WITHIN: Duration = Duration::from_secs(2);
+const FIRST_RETRY: Duration = Duration::from_millis(100);
+const LAST_RETRY: Duration = Duration::from_secs(5);
+/// Tries to read an input before its job fails.
+const READS: u32 = 5;
+/// The stack of a pool's thread, bytes.
+const STACK: usize = 8 << 20;
+
+/// Whether workers claim and run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Phase {
+    Open,
+    /// Running jobs go on, no new ones are claimed.
+    Draining,
+    /// Running jobs are stopped and put back.
+    Stopping,
+}
+
+/// What the service and its workers share.
+pub(super) struct Shared {
+    pub(super) store: Arc<dyn JobStore>,
+    pub(super) blobs: Arc<dyn BlobStore>,
+    pub(super) runner: Arc<dyn JobRunner>,
+    pub(super) clock: Arc<dyn Clock>,
+    pub(super) board: Arc<Board>,
+    pub(super) settings: Settings,
+    /// Locked as long as a worker lives.
+    pub(super) _folder: Option<DataFolder>,
+    pub(super) wake: Notify,
+    pub(super) phase: watch::Sender<Phase>,
+}
+
+/// How a run ended.
+enum Outcome {
+    Answered(Result<Vec<Artifact>, JobFailure>),
+    Panicked,
+    /// It did not obey its cancellation.
+    Stuck,
+}
+
+/// Waits that grow, between tries of something that should come right by itself.
+pub(super) struct Backoff(Duration);
+
+impl Backoff {
+    pub(super) fn new() -> Self {
+        Self(FIRST_RETRY)
+    }
+
+    pub(super) fn next(&mut self) -> Duration {
+        let wait = self.0;
+        self.0 = (self.0 * 2).min(LAST_RETRY);
+        wait
+    }
+}
+
+pub(super) struct Worker {
+    pub(super) shared: Arc<Shared>,
+    pool: ThreadPool,
+    number: usize,
+    phase: watch::Receiver<Phase>,
+}
+
+impl Worker {
+    pub(super) fn new(shared: Arc<Shared>, number: usize) -> Result<Self, ThreadPoolBuildError> {
+        let pool = pool(&shared.settings, number)?;
+        let phase = shared.phase.subscribe();
+        Ok(Self { shared, pool, number, phase })
+    }
+
+    pub(super) fn phase(&self) -> Phase {
+        *self.phase.borrow()
+    }
+
+    /// Waits; ends early when the phase changes.
+    pub(super) async fn pause(&mut self, wait: Duration) {
+        tokio::select! {
+            () = tokio::time::sleep(wait) => {}
+            _ = self.phase.changed() => {}
+        }
+    }
+
+    /// Claims and runs jobs until the service drains.
+    pub(super) async fn work(mut self) {
+        let mut backoff = Backoff::new();
+        while self.phase() == Phase::Open {
+            let lease = Lease::new();
+            match self.shared.store.claim(&lease, self.shared.clock.now_ms()).await {
+                Ok(Some(job)) => {
+                    backoff = Backoff::new();
+                    // There may be more: wake an idle worker to look.
+                    self.shared.wake.notify_one();
+                    let span = tracing::info_span!("job", id = %job.id);
+                    self.run(job, &lease).instrument(span).await;
+                }
+                Ok(None) => {
+                    let poll = self.shared.settings.poll;
+                    let shared = self.shared.clone();
+                    tokio::select! {
+                        () = shared.wake.notified() => {}
+                        () = self.pause(poll) => {}
+                    }
+                }
+                Err(error) => {
+                    tracing::error!(%error, "cannot claim jobs");
+                    self.pause(backoff.next()).await;
+                }
+            }
+        }
+    }
+
+    async fn run(&mut self, job: Job, lease: &Lease) {
+        let began = Instant::now();
+        tracing::info!(attempt = job.attempts, bytes = job.input.size, "started");
+        let entry = self.shared.board.start(job.id);
+        if self.holds(&job, lease).await {
+            match self.read_input(&job, &entry).await {
+                Some(Ok(bytes)) => {
+                    let outcome = self.compute(&job, lease, &entry, bytes).await;
+                    let seconds = began.elapsed().as_secs_f64();
+                    self.settle(&job, lease, &entry, outcome, seconds).await;
+                }
+                Some(Err(failure)) => self.fail(&job, lease, &entry, failure).await,
+                None => self.abandon(&job, lease).await,
+            }
+        }
+        self.shared.board.end(job.id);
+    }
+
+    /// Whether the job was not dismissed between its claim and its place on the board.
+    async fn holds(&self, job: &Job, lease: &Lease) -> bool {
+        match self.shared.store.get(job.id).await {
+            Ok(found) => found.is_some_and(|found| found.lease.as_ref() == Some(lease)),
+            // The fence of every later update decides.
+            Err(_) => true,
+        }
+    }
+
+    /// The input's bytes; `None` when the run is to stop.
+    async fn read_input(&mut self, job: &Job, entry: &Entry) -> Option<Result<Bytes, JobFailure>> {
+        entry.report(JobStage::Reading, 0.0);
+        let mut backoff = Backoff::new();
+        for left in (0..READS).rev() {
+            match self.shared.blobs.read(&job.input.key).await {
+                Ok(bytes) if bytes.len() as u64 == job.input.size => return Some(Ok(bytes)),
+                Ok(bytes) => {
+                    let detail = format!("{} bytes were stored and {} are left", job.input.size, bytes.len());
+                    return Some(Err(JobFailure::input_lost(detail)));
+                }
+                Err(BlobError::NotFound { .. }) => {
+                    return Some(Err(JobFailure::input_lost("its file is gone from the data folder")));
+                }
+                Err(error) => tracing::error!(%error, left, "cannot read the input"),
+            }
+            if left > 0 {
+                self.pause(backoff.next()).await;
+            }
+            if self.stops(entry) {
+                return None;
+            }
+        }
+        Some(Err(JobFailure::input_lost("the data folder's disk answers with errors")))
+    }
+
+    /// Whether this run is dismissed or to be put back.
+    pub(super) fn stops(&self, entry: &Entry) -> bool {
+        entry.cancel.is_cancelled() || self.phase() == Phase::Stopping
+    }
+
+    /// Runs the job on the pool and writes its progress to the store meanwhile.
+    async fn compute(&mut self, job: &Job, lease: &Lease, entry: &Arc<Entry>, bytes: Bytes) -> Outcome {
+        let (answer, mut answered) = oneshot::channel();
+        let (runner, control) = (self.shared.runner.clone(), RunControl::new(entry.clone()));
+        let work = Work { input: job.input.clone(), bytes, spec: job.spec.clone() };
+        let span = tracing::Span::current();
+        self.pool.spawn(move || {
+            let run = || span.in_scope(|| runner.run(work, &control));
+            let outcome = match catch_unwind(AssertUnwindSafe(run)) {
+                Ok(result) => Outcome::Answered(result),
+                Err(_) => Outcome::Panicked,
+            };
+            // The receiver is gone only when the run was given up.
+            answer.send(outcome).ok();
+        });
+        let shared = self.shared.clone();
+        tokio::select! {
+            biased;
+            outcome = &mut answered => outcome.unwrap_or(Outcome::Panicked),
+            () = flush(&shared, job, lease, entry) => Outcome::Stuck,
+            () = overdue(self.phase.clone(), entry) => Outcome::Stuck,
+        }
+    }
+
+    async fn settle(&mut self, job: &Job, lease: &Lease, entry: &Entry, outcome: Outcome, seconds: f64) {
+        let stopping = self.phase() == Phase::Stopping;
+        match outcome {
+            Outcome::Answered(Ok(artifacts)) if stopping || !entry.cancel.is_cancelled() => {
+                tracing::info!(seconds, artifacts = artifacts.len(), "computed");
+                self.succeed(job, lease, entry, artifacts).await;
+            }
+            Outcome::Answered(Err(failure)) if !entry.cancel.is_cancelled() => {
+                tracing::info!(seconds, code = failure.code, "failed");
+                self.fail(job, lease, entry, failure).await;
+            }
+            Outcome::Panicked => {
+                tracing::error!(seconds, "panicked");
+                self.fail(job, lease, entry, JobFailure::panicked()).await;
+            }
+            Outcome::Answered(_) => self.abandon(job, lease).await,
+            Outcome::Stuck => {
+                tracing::error!(
+                    seconds,
+                    "the run does not obey its cancellation; its threads are left behind"
+                );
+                self.abandon(job, lease).await;
+                match pool(&self.shared.settings, self.number) {
+                    Ok(pool) => self.pool = pool,
+                    Err(error) => tracing::error!(%error, "cannot start new threads"),
+                }
+            }
+        }
+    }
+
+    /// Puts the job back if the service stops; a dismissed one is settled already.
+    pub(super) async fn abandon(&self, job: &Job, lease: &Lease) {
+        match self.shared.store.release(job.id, lease, self.shared.clock.now_ms()).await {
+            Ok(true) => tracing::info!("put back"),
+            Ok(false) => tracing::info!("stopped, dismissed"),
+            Err(error) => tracing::error!(%error, "cannot put back; the next start will"),
+        }
+    }
+
+    async fn fail(&mut self, job: &Job, lease: &Lease, entry: &Entry, failure: JobFailure) {
+        let mut backoff = Backoff::new();
+        let at = entry.subscribe().borrow().progress();
+        loop {
+            match self.write_failure(job, lease, at, &failure).await {
+                Ok(_) => return,
+                Err(error) => tracing::error!(%error, "cannot write the failure"),
+            }
+            if self.stops(entry) {
+                return self.abandon(job, lease).await;
+            }
+            self.pause(backoff.next()).await;
+        }
+    }
+
+    async fn write_failure(
+        &self,
+        job: &Job,
+        lease: &Lease,
+        at: Option<(JobStage, u8)>,
+        failure: &JobFailure,
+    ) -> Result<bool, StoreError> {
+        let (store, now) = (&self.shared.store, self.shared.clock.now_ms());
+        if let Some((stage, percent)) = at {
+            store.progress(job.id, lease, percent, Some(stage.name()), now).await?;
+        }
+        store.fail(job.id, lease, failure, now).await
+    }
+}
+
+fn pool(settings: &Settings, number: usize) -> Result<ThreadPool, ThreadPoolBuildError> {
+    ThreadPoolBuilder::new()
+        .num_threads(settings.threads_per_worker())
+        .thread_name(move |thread| format!("worker-{number}-{thread}"))
+        .stack_size(STACK)
+        .build()
+}
+
+/// Ready when a run goes on although it was dismissed, or although the service stops.
+async fn overdue(mut phase: watch::Receiver<Phase>, entry: &Entry) {
+    let mut changes = entry.subscribe();
+    // Neither sender goes before the worker, so neither wait fails.
+    tokio::select! {
+        _ = phase.wait_for(|phase| *phase == Phase::Stopping) => {}
+        _ = changes.wait_for(|now| now.ended) => {}
+    }
+    entry.cancel.cancel();
+    tokio::time::sleep(STOP_WITHIN).await;
+}
+
+/// Writes progress to the store as it comes, not more often than set. Ready when the run goes on although
+/// its lease is lost.
+async fn flush(shared: &Shared, job: &Job, lease: &Lease, entry: &Entry) {
+    let mut changes = entry.subscribe();
+    let mut written = Snapshot::default();
+    loop {
+        tokio::time::sleep(shared.settings.flush).await;
+        // The sender lives in `entry`, so the wait does not fail.
+        let Ok(now) = changes.wait_for(|now| *now != written).await.map(|now| *now) else { return };
+        written = now;
+        let Some((stage, percent)) = written.progress() else { continue };
+        let time = shared.clock.now_ms();
+        match shared.store.progress(job.id, lease, percent, Some(stage.name()), time).await {
+            Ok(true) => {}
+            Ok(false) => {
+                entry.cancel.cancel();
+                return tokio::time::sleep(STOP_WITHIN).await;
+            }
+            Err(error) => tracing::warn!(%error, "cannot write progress"),
+        }
+    }
+}

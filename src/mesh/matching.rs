@@ -1,0 +1,225 @@
+//! Which half-edges of a triangle soup lie against each other: the edges of the surface.
+
+use std::f64::consts::TAU;
+
+use nalgebra::Vector3;
+
+use super::TriangleMesh;
+use super::corner_table::{NONE, next};
+
+/// What matching found and mended, for the warnings.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct MatchReport {
+    /// Triangles turned to agree with their neighbours.
+    pub flipped: usize,
+    /// Edges with more than two triangles.
+    pub non_manifold_edges: usize,
+    /// Edges where no consistent orientation exists; the surface is cut there.
+    pub conflicting_edges: usize,
+}
+
+/// The half-edges of every undirected edge, grouped: `members[start[e]..start[e + 1]]`.
+struct EdgeGroups {
+    start: Vec<u32>,
+    members: Vec<u32>,
+}
+
+impl EdgeGroups {
+    /// Counting sort of the half-edges by their smaller vertex, then a small sort by the larger one.
+    fn of(mesh: &TriangleMesh) -> Self {
+        let ends = |h: u32| {
+            let triangle = mesh.triangles[(h / 3) as usize];
+            let (a, b) = (triangle[(h % 3) as usize], triangle[(next(h) % 3) as usize]);
+            (a.min(b), a.max(b))
+        };
+        let half_edges = 3 * mesh.triangles.len() as u32;
+        let mut offset = vec![0u32; mesh.vertices.len() + 1];
+        for h in 0..half_edges {
+            offset[ends(h).0 as usize + 1] += 1;
+        }
+        for v in 1..offset.len() {
+            offset[v] += offset[v - 1];
+        }
+        let mut members = vec![0u32; half_edges as usize];
+        let mut cursor = offset.clone();
+        for h in 0..half_edges {
+            let slot = &mut cursor[ends(h).0 as usize];
+            members[*slot as usize] = h;
+            *slot += 1;
+        }
+        let mut start = vec![0u32];
+        for v in 0..mesh.vertices.len() {
+            let (from, to) = (offset[v] as usize, offset[v + 1] as usize);
+            members[from..to].sort_unstable_by_key(|&h| (ends(h).1, h));
+            for i in from..to {
+                let last = i + 1 == to || ends(members[i + 1]).1 != ends(members[i]).1;
+                if last {
+                    start.push(i as u32 + 1);
+                }
+            }
+        }
+        Self { start, members }
+    }
+
+    fn iter(&self) -> impl Iterator<Item = &[u32]> {
+        self.start.windows(2).map(|pair| &self.members[pair[0] as usize..pair[1] as usize])
+    }
+}
+
+/// Orients the triangles consistently (in place) and pairs their half-edges.
+///
+/// Returns for each half-edge its opposite or [`NONE`]. Edges with more than two triangles are
+/// paired by angle around the edge, so that touching surfaces come apart. O(n log n) in the valence.
+pub fn match_half_edges(mesh: &mut TriangleMesh) -> (Vec<u32>, MatchReport) {
+    let mut report = MatchReport::default();
+    let groups = EdgeGroups::of(mesh);
+    report.flipped = orient(mesh, &groups);
+    // Turning triangles renames their half-edges; group anew when any was turned.
+    let groups = if report.flipped > 0 { EdgeGroups::of(mesh) } else { groups };
+    let mut opposite = vec![NONE; 3 * mesh.triangles.len()];
+    let mut pair = |a: u32, b: u32| {
+        opposite[a as usize] = b;
+        opposite[b as usize] = a;
+    };
+    for group in groups.iter() {
+        match *group {
+            [_] => {}
+            [a, b] if origin(mesh, a) != origin(mesh, b) => pair(a, b),
+            [_, _] => report.conflicting_edges += 1,
+            _ => {
+                report.non_manifold_edges += 1;
+                for (a, b) in pair_by_angle(mesh, group) {
+                    pair(a, b);
+                }
+            }
+        }
+    }
+    (opposite, report)
+}
+
+fn origin(mesh: &TriangleMesh, h: u32) -> u32 {
+    mesh.triangles[(h / 3) as usize][(h % 3) as usize]
+}
+
+/// Flood-fills orientation over the edges with exactly two triangles; the majority in each patch stays.
+fn orient(mesh: &mut TriangleMesh, groups: &EdgeGroups) -> usize {
+    let count = mesh.triangles.len();
+    let mut mate = vec![NONE; 3 * count];
+    for group in groups.iter() {
+        if let [a, b] = *group {
+            mate[a as usize] = b;
+            mate[b as usize] = a;
+        }
+    }
+    const UNSEEN: u8 = 2;
+    let mut turned = vec![UNSEEN; count];
+    let mut patch: Vec<u32> = Vec::new();
+    let mut flips = Vec::new();
+    for seed in 0..count {
+        if turned[seed] != UNSEEN {
+            continue;
+        }
+        turned[seed] = 0;
+        patch.clear();
+        patch.push(seed as u32);
+        let mut cursor = 0;
+        while cursor < patch.len() {
+            let t = patch[cursor];
+            cursor += 1;
+            for h in 3 * t..3 * t + 3 {
+                let other = mate[h as usize];
+                if other == NONE || turned[(other / 3) as usize] != UNSEEN {
+                    continue;
+                }
+                let same_direction = u8::from(origin(mesh, h) == origin(mesh, other));
+                turned[(other / 3) as usize] = turned[t as usize] ^ same_direction;
+                patch.push(other / 3);
+            }
+        }
+        let turned_here = patch.iter().filter(|&&t| turned[t as usize] == 1).count();
+        let minority = u8::from(2 * turned_here <= patch.len());
+        flips.extend(patch.iter().copied().filter(|&t| turned[t as usize] == minority));
+    }
+    for &t in &flips {
+        mesh.triangles[t as usize].swap(1, 2);
+    }
+    flips.len()
+}
+
+/// Pairs the triangles around an edge so that each pair bounds one wedge of the inside.
+fn pair_by_angle(mesh: &TriangleMesh, group: &[u32]) -> Vec<(u32, u32)> {
+    let low = group.iter().map(|&h| origin(mesh, h)).min().unwrap_or(0);
+    let first = group[0];
+    let triangle = mesh.triangles[(first / 3) as usize];
+    let (a, b) = (triangle[(first % 3) as usize], triangle[(next(first) % 3) as usize]);
+    let (from, to) = if a == low { (a, b) } else { (b, a) };
+    let axis = mesh.vertices[to as usize] - mesh.vertices[from as usize];
+    let axis = axis.try_normalize(0.0).unwrap_or_else(Vector3::z);
+    let mut frame: Option<(Vector3<f64>, Vector3<f64>)> = None;
+    let mut fans: Vec<(f64, bool, u32)> = Vec::with_capacity(group.len());
+    for &h in group {
+        let corners = mesh.triangles[(h / 3) as usize];
+        let apex = corners[((h % 3 + 2) % 3) as usize];
+        let arm = mesh.vertices[apex as usize] - mesh.vertices[from as usize];
+        let arm = arm - axis * axis.dot(&arm);
+        let (u, v) = *frame.get_or_insert_with(|| {
+            let u = arm.try_normalize(0.0).unwrap_or_else(|| axis.yzx().cross(&axis));
+            (u, axis.cross(&u))
+        });
+        let angle = arm.dot(&v).atan2(arm.dot(&u)).rem_euclid(TAU);
+        fans.push((angle, origin(mesh, h) == low, h));
+    }
+    fans.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.2.cmp(&y.2)));
+    // With outward normals, the inside of a forward triangle lies on the side of smaller angles.
+    let mut pairs = Vec::new();
+    let mut used = vec![false; fans.len()];
+    for i in 0..fans.len() {
+        if !fans[i].1 || used[i] {
+            continue;
+        }
+        let before = (1..fans.len()).map(|step| (i + fans.len() - step) % fans.len());
+        if let Some(j) = before.into_iter().find(|&j| !fans[j].1 && !used[j]) {
+            used[i] = true;
+            used[j] = true;
+            pairs.push((fans[i].2, fans[j].2));
+        }
+    }
+    pairs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Point3;
+
+    fn tetrahedron(shift: f64, base: u32) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
+        let at = |x: f64, y: f64, z: f64| Point3::new(x + shift, y, z);
+        let vertices = vec![at(0., 0., 0.), at(1., 0., 0.), at(0., 1., 0.), at(0., 0., 1.)];
+        let triangles = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]].map(|t| t.map(|v| v + base));
+        (vertices, triangles.to_vec())
+    }
+
+    #[test]
+    fn a_flipped_triangle_is_turned_back() {
+        let (vertices, mut triangles) = tetrahedron(0.0, 0);
+        triangles[2].swap(0, 1);
+        let mut mesh = TriangleMesh { vertices, triangles };
+        let (opposite, report) = match_half_edges(&mut mesh);
+        assert_eq!(report, MatchReport { flipped: 1, ..Default::default() });
+        assert!(opposite.iter().all(|&h| h != NONE));
+    }
+
+    #[test]
+    fn two_solids_that_share_an_edge_come_apart() {
+        // The second solid is the first turned by 180 degrees around the z axis: they share edge (0, 3).
+        let (mut vertices, mut triangles) = tetrahedron(0.0, 0);
+        vertices.extend([Point3::new(-1., 0., 0.), Point3::new(0., -1., 0.)]);
+        triangles.extend([[0, 5, 4], [0, 4, 3], [4, 5, 3], [0, 3, 5]]);
+        let mut mesh = TriangleMesh { vertices, triangles };
+        let (opposite, report) = match_half_edges(&mut mesh);
+        assert_eq!(report.non_manifold_edges, 1);
+        for (h, &o) in opposite.iter().enumerate() {
+            assert_eq!((h / 3) / 4, (o as usize / 3) / 4, "half-edge {h} is paired with the other solid");
+        }
+    }
+}

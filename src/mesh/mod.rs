@@ -1,0 +1,25 @@
+//! Triangle surfaces: the type, its file formats, and what the method needs to know of them.
+
+pub mod corner_table;
+pub mod format;
+mod matching;
+pub mod normals;
+mod openings;
+pub mod preparation;
+mod units;
+mod weld;
+
+use nalgebra::Point3;
+
+pub use units::{Units, UnknownUnit};
+pub use weld::{Welder, weld};
+
+/// An indexed triangle surface, in the unit and frame of its file.
+///
+/// Triangles index into `vertices`; every index is in range and every coordinate finite
+/// when the mesh comes from [`format::read`].
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct TriangleMesh {
+    pub vertices: Vec<Point3<f64>>,
+    pub triangles: Vec<[u32; 3]>,
+}

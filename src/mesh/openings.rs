@@ -1,0 +1,92 @@
+//! Openings: where the vessel was cut. Each is closed by a cap.
+
+use nalgebra::{Point3, Vector3};
+
+use super::TriangleMesh;
+use super::corner_table::{NONE, next};
+
+/// An opening of the surface, closed by a fan of triangles around its centre.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Opening {
+    /// The vertex that was put at the centre of the rim.
+    pub centre: u32,
+    /// Vertices of the rim, in order.
+    pub rim: Vec<u32>,
+    /// Length of the rim over 2 pi: the radius of the circle with that circumference.
+    pub radius: f64,
+}
+
+/// An opening with the first triangle of its cap, both in the soup's numbers.
+pub(super) struct CappedOpening {
+    pub opening: Opening,
+    pub triangle: u32,
+}
+
+/// Closes every boundary loop by a fan around the centre of its rim.
+pub(super) fn cap(mesh: &mut TriangleMesh, opposite: &mut Vec<u32>) -> Vec<CappedOpening> {
+    let mut openings = Vec::new();
+    let half_edges = opposite.len() as u32;
+    for start in 0..half_edges {
+        if opposite[start as usize] != NONE {
+            continue;
+        }
+        let rim_edges = boundary_loop(opposite, start);
+        if let [a, b] = rim_edges[..] {
+            opposite[a as usize] = b;
+            opposite[b as usize] = a;
+            continue;
+        }
+        let origin = |h: u32| mesh.triangles[(h / 3) as usize][(h % 3) as usize];
+        let rim: Vec<u32> = rim_edges.iter().map(|&h| origin(h)).collect();
+        let (centre_point, length) = rim_centre(mesh, &rim);
+        let centre = mesh.vertices.len() as u32;
+        mesh.vertices.push(centre_point);
+        let first_cap = opposite.len() as u32;
+        let count = rim.len() as u32;
+        for (i, &h) in rim_edges.iter().enumerate() {
+            // The cap runs against the wall: from the rim edge's end to its start, then to the centre.
+            let end = rim[(i + 1) % rim.len()];
+            mesh.triangles.push([end, rim[i], centre]);
+            let own = first_cap + 3 * i as u32;
+            let before = first_cap + 3 * ((i as u32 + count - 1) % count);
+            let after = first_cap + 3 * ((i as u32 + 1) % count);
+            opposite[h as usize] = own;
+            opposite.extend([h, before + 2, after + 1]);
+        }
+        let opening = Opening { centre, rim, radius: length / std::f64::consts::TAU };
+        openings.push(CappedOpening { opening, triangle: first_cap / 3 });
+    }
+    openings
+}
+
+/// The boundary half-edges of one opening, each starting where the one before ends.
+fn boundary_loop(opposite: &[u32], start: u32) -> Vec<u32> {
+    let mut rim = vec![start];
+    loop {
+        let mut h = next(rim[rim.len() - 1]);
+        while opposite[h as usize] != NONE {
+            h = next(opposite[h as usize]);
+        }
+        if h == start {
+            return rim;
+        }
+        rim.push(h);
+    }
+}
+
+/// Centre of the rim, weighted by its edges' lengths, and its length.
+fn rim_centre(mesh: &TriangleMesh, rim: &[u32]) -> (Point3<f64>, f64) {
+    let mut sum = Vector3::zeros();
+    let mut length = 0.0;
+    for (i, &v) in rim.iter().enumerate() {
+        let (p, q) = (mesh.vertices[v as usize], mesh.vertices[rim[(i + 1) % rim.len()] as usize]);
+        let weight = (q - p).norm();
+        sum += (p.coords + q.coords) * (0.5 * weight);
+        length += weight;
+    }
+    if length > 0.0 {
+        (Point3::from(sum / length), length)
+    } else {
+        (rim.first().map_or_else(Point3::origin, |&v| mesh.vertices[v as usize]), 0.0)
+    }
+}

@@ -1,0 +1,369 @@
+//! From a triangle soup to closed, oriented, manifold surfaces, one a component.
+//!
+//! Every stage after this one may rely on it: each vertex has one fan of triangles, each
+//! half-edge an opposite, normals point out of the lumen, and openings are closed by a cap.
+
+use nalgebra::Vector3;
+
+use super::TriangleMesh;
+use super::corner_table::{CornerTable, NONE, next, previous};
+use super::matching::{MatchReport, match_half_edges};
+use super::openings::{CappedOpening, cap};
+
+pub use super::openings::Opening;
+
+/// Why a triangle soup is not a surface.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum PreparationError {
+    #[error("the mesh has no triangles")]
+    NoTriangles,
+    #[error("all {triangles} triangles have no area")]
+    AllDegenerate { triangles: usize },
+}
+
+/// One connected, closed, oriented, manifold surface.
+#[derive(Debug, Clone, Default)]
+pub struct Surface {
+    /// Its vertices and triangles; cap triangles come last.
+    pub mesh: TriangleMesh,
+    pub corners: CornerTable,
+    /// How many triangles came from the input; those from there on are caps.
+    pub wall_triangles: usize,
+    pub openings: Vec<Opening>,
+}
+
+impl Surface {
+    /// Handles of the closed surface (Euler's formula).
+    pub fn genus(&self) -> usize {
+        let (v, f) = (self.mesh.vertices.len() as i64, self.mesh.triangles.len() as i64);
+        let euler = v - 3 * f / 2 + f;
+        ((2 - euler) / 2).max(0) as usize
+    }
+
+    /// Diagonal of the bounding box, in the input's unit.
+    pub fn diagonal(&self) -> f64 {
+        diagonal(&self.mesh)
+    }
+
+    /// Enclosed volume, in cubed units of the input.
+    pub fn volume(&self) -> f64 {
+        signed_volume(&self.mesh)
+    }
+}
+
+/// The input as surfaces, and what was done to it.
+#[derive(Debug, Clone, Default)]
+pub struct Prepared {
+    /// In the order of each component's first triangle.
+    pub components: Vec<Surface>,
+    pub report: PreparationReport,
+}
+
+/// Counts for the result's summary and warnings.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct PreparationReport {
+    pub vertices: usize,
+    pub triangles: usize,
+    pub diagonal: f64,
+    pub degenerate: usize,
+    pub duplicates: usize,
+    pub split_vertices: usize,
+    pub inverted_components: usize,
+    pub matching: MatchReport,
+}
+
+/// Makes closed manifold surfaces of a welded triangle list.
+///
+/// Degenerate and duplicate triangles go, orientation is made consistent and outward, edges and
+/// vertices where surfaces touch come apart, openings are capped. O(n log n).
+pub fn prepare(mesh: &TriangleMesh) -> Result<Prepared, PreparationError> {
+    if mesh.triangles.is_empty() {
+        return Err(PreparationError::NoTriangles);
+    }
+    let mut report = PreparationReport {
+        vertices: mesh.vertices.len(),
+        triangles: mesh.triangles.len(),
+        ..Default::default()
+    };
+    let mut soup = TriangleMesh { vertices: mesh.vertices.clone(), triangles: distinct(mesh, &mut report) };
+    report.diagonal = diagonal(&soup);
+    if soup.triangles.iter().all(|t| area(&soup, t) <= 1e-14 * report.diagonal * report.diagonal) {
+        return Err(PreparationError::AllDegenerate { triangles: mesh.triangles.len() });
+    }
+    let (mut opposite, matching) = match_half_edges(&mut soup);
+    report.matching = matching;
+    report.split_vertices = split_fans(&mut soup, &opposite);
+    let wall = soup.triangles.len();
+    let openings = cap(&mut soup, &mut opposite);
+    let components = split_components(soup, opposite, wall, openings, &mut report);
+    Ok(Prepared { components, report })
+}
+
+/// Triangles with three different corners, each set of corners once.
+fn distinct(mesh: &TriangleMesh, report: &mut PreparationReport) -> Vec<[u32; 3]> {
+    let mut sorted: Vec<([u32; 3], u32)> = Vec::with_capacity(mesh.triangles.len());
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        let mut key = *triangle;
+        key.sort_unstable();
+        if key[0] == key[1] || key[1] == key[2] {
+            report.degenerate += 1;
+        } else {
+            sorted.push((key, t as u32));
+        }
+    }
+    sorted.sort_unstable();
+    let before = sorted.len();
+    sorted.dedup_by_key(|entry| entry.0);
+    report.duplicates = before - sorted.len();
+    let mut kept: Vec<u32> = sorted.into_iter().map(|entry| entry.1).collect();
+    kept.sort_unstable();
+    kept.into_iter().map(|t| mesh.triangles[t as usize]).collect()
+}
+
+/// Gives each fan of triangles around a vertex a vertex of its own; returns how many were added.
+fn split_fans(mesh: &mut TriangleMesh, opposite: &[u32]) -> usize {
+    let mut owner = vec![NONE; mesh.vertices.len()];
+    let mut seen = vec![false; 3 * mesh.triangles.len()];
+    let mut added = 0;
+    for start in 0..3 * mesh.triangles.len() as u32 {
+        if seen[start as usize] {
+            continue;
+        }
+        let v = mesh.triangles[(start / 3) as usize][(start % 3) as usize];
+        let mut name = v;
+        if owner[v as usize] != NONE {
+            name = mesh.vertices.len() as u32;
+            mesh.vertices.push(mesh.vertices[v as usize]);
+            added += 1;
+        } else {
+            owner[v as usize] = start;
+        }
+        for h in fan(opposite, start) {
+            seen[h as usize] = true;
+            mesh.triangles[(h / 3) as usize][(h % 3) as usize] = name;
+        }
+    }
+    added
+}
+
+/// All half-edges that start at the same corner of one fan as `start`.
+fn fan(opposite: &[u32], start: u32) -> Vec<u32> {
+    let mut half_edges = vec![start];
+    let mut h = opposite[previous(start) as usize];
+    while h != NONE && h != start {
+        half_edges.push(h);
+        h = opposite[previous(h) as usize];
+    }
+    if h == NONE {
+        h = opposite[start as usize];
+        while h != NONE {
+            h = next(h);
+            half_edges.push(h);
+            h = opposite[h as usize];
+        }
+    }
+    half_edges
+}
+
+/// Cuts the closed soup into its connected components, each oriented outward.
+fn split_components(
+    soup: TriangleMesh,
+    opposite: Vec<u32>,
+    wall: usize,
+    openings: Vec<CappedOpening>,
+    report: &mut PreparationReport,
+) -> Vec<Surface> {
+    let (component, members) = component_triangles(&opposite, soup.triangles.len());
+    let mut vertex_name = vec![NONE; soup.vertices.len()];
+    let mut triangle_name = vec![NONE; soup.triangles.len()];
+    let mut surfaces = Vec::with_capacity(members.len());
+    for triangles in &members {
+        let mut mesh = TriangleMesh::default();
+        mesh.triangles.reserve(triangles.len());
+        for (i, &t) in triangles.iter().enumerate() {
+            triangle_name[t as usize] = i as u32;
+            mesh.triangles.push(soup.triangles[t as usize].map(|v| {
+                let name = &mut vertex_name[v as usize];
+                if *name == NONE {
+                    *name = mesh.vertices.len() as u32;
+                    mesh.vertices.push(soup.vertices[v as usize]);
+                }
+                *name
+            }));
+        }
+        let mut local: Vec<u32> = Vec::with_capacity(3 * triangles.len());
+        for h in triangles.iter().flat_map(|&t| 3 * t..3 * t + 3) {
+            let o = opposite[h as usize];
+            local.push(3 * triangle_name[(o / 3) as usize] + o % 3);
+        }
+        if signed_volume(&mesh) < 0.0 {
+            report.inverted_components += 1;
+            local = invert(&mut mesh, &local);
+        }
+        let wall_triangles = triangles.iter().filter(|&&t| (t as usize) < wall).count();
+        let corners = CornerTable::new(&mesh.triangles, local, mesh.vertices.len());
+        surfaces.push(Surface { mesh, corners, wall_triangles, openings: Vec::new() });
+    }
+    for CappedOpening { mut opening, triangle } in openings {
+        opening.centre = vertex_name[opening.centre as usize];
+        opening.rim.iter_mut().for_each(|v| *v = vertex_name[*v as usize]);
+        surfaces[component[triangle as usize] as usize].openings.push(opening);
+    }
+    surfaces
+}
+
+/// Each triangle's component, and each component's triangles in ascending order.
+fn component_triangles(opposite: &[u32], count: usize) -> (Vec<u32>, Vec<Vec<u32>>) {
+    let mut component = vec![NONE; count];
+    let mut found = 0;
+    let mut queue = Vec::new();
+    for seed in 0..count {
+        if component[seed] != NONE {
+            continue;
+        }
+        component[seed] = found;
+        queue.push(seed as u32);
+        while let Some(t) = queue.pop() {
+            for h in 3 * t..3 * t + 3 {
+                let other = (opposite[h as usize] / 3) as usize;
+                if component[other] == NONE {
+                    component[other] = found;
+                    queue.push(other as u32);
+                }
+            }
+        }
+        found += 1;
+    }
+    let mut members = vec![Vec::new(); found as usize];
+    for (t, &c) in component.iter().enumerate() {
+        members[c as usize].push(t as u32);
+    }
+    (component, members)
+}
+
+/// Turns every triangle over; returns the opposites in the new half-edge numbers.
+fn invert(mesh: &mut TriangleMesh, opposite: &[u32]) -> Vec<u32> {
+    // [a, b, c] becomes [a, c, b]: half-edges 0, 1, 2 come to lie at 2, 1, 0.
+    let renamed = |h: u32| 3 * (h / 3) + (2 - h % 3);
+    let mut turned = vec![NONE; opposite.len()];
+    for (h, &o) in opposite.iter().enumerate() {
+        turned[renamed(h as u32) as usize] = renamed(o);
+    }
+    mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+    turned
+}
+
+fn area(mesh: &TriangleMesh, triangle: &[u32; 3]) -> f64 {
+    let [a, b, c] = triangle.map(|v| mesh.vertices[v as usize]);
+    0.5 * (b - a).cross(&(c - a)).norm()
+}
+
+/// Diagonal of the bounding box of the vertices in use.
+fn diagonal(mesh: &TriangleMesh) -> f64 {
+    let mut low = Vector3::repeat(f64::INFINITY);
+    let mut high = Vector3::repeat(f64::NEG_INFINITY);
+    for &v in mesh.triangles.iter().flatten() {
+        low = low.inf(&mesh.vertices[v as usize].coords);
+        high = high.sup(&mesh.vertices[v as usize].coords);
+    }
+    if mesh.triangles.is_empty() { 0.0 } else { (high - low).norm() }
+}
+
+/// Volume by the divergence theorem, about the first vertex so that frames far off lose no digits.
+fn signed_volume(mesh: &TriangleMesh) -> f64 {
+    let Some(&origin) = mesh.vertices.first() else { return 0.0 };
+    let of = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|v| mesh.vertices[v as usize] - origin);
+        a.dot(&b.cross(&c))
+    };
+    mesh.triangles.iter().map(of).sum::<f64>() / 6.0
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point3;
+
+    use super::*;
+
+    /// A cube of edge 1, as two triangles a side.
+    fn cube() -> TriangleMesh {
+        let vertices = (0..8)
+            .map(|i| Point3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2 & 1)))
+            .collect();
+        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let triangles = quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).collect();
+        TriangleMesh { vertices, triangles }
+    }
+
+    fn check_manifold(surface: &Surface) {
+        let table = &surface.corners;
+        for h in 0..table.half_edges() as u32 {
+            let o = table.opposite(h);
+            assert_eq!(table.opposite(o), h);
+            assert_eq!((table.origin(h), table.target(h)), (table.target(o), table.origin(o)));
+        }
+        let fans: usize = (0..table.vertices() as u32).map(|v| table.star(v).count()).sum();
+        assert_eq!(fans, table.half_edges(), "every vertex has one fan");
+    }
+
+    #[test]
+    fn a_cube_is_closed_and_has_its_volume() {
+        let prepared = prepare(&cube()).unwrap();
+        let [surface] = &prepared.components[..] else { panic!("one component") };
+        check_manifold(surface);
+        assert!((surface.volume() - 1.0).abs() < 1e-12);
+        assert_eq!((surface.genus(), surface.openings.len()), (0, 0));
+    }
+
+    #[test]
+    fn an_inverted_cube_is_turned_outward() {
+        let mut mesh = cube();
+        mesh.triangles.iter_mut().for_each(|t| t.swap(0, 1));
+        let prepared = prepare(&mesh).unwrap();
+        check_manifold(&prepared.components[0]);
+        assert!(prepared.components[0].volume() > 0.0);
+        assert_eq!(prepared.report.inverted_components, 1);
+    }
+
+    #[test]
+    fn an_open_cube_is_capped() {
+        let mut mesh = cube();
+        mesh.triangles.truncate(10);
+        let prepared = prepare(&mesh).unwrap();
+        let surface = &prepared.components[0];
+        check_manifold(surface);
+        assert_eq!((surface.openings.len(), surface.openings[0].rim.len()), (1, 4));
+        assert!((surface.volume() - 1.0).abs() < 1e-12);
+        assert_eq!(surface.wall_triangles, 10);
+    }
+
+    #[test]
+    fn cubes_that_touch_at_a_vertex_are_two_components() {
+        let mut mesh = cube();
+        let shift = Vector3::repeat(1.0);
+        mesh.vertices.extend(cube().vertices.iter().map(|p| p + shift));
+        // Vertex 7 of the first is vertex 0 of the second.
+        let second = cube().triangles.into_iter().map(|t| t.map(|v| if v == 0 { 7 } else { v + 8 }));
+        mesh.triangles.extend(second);
+        let prepared = prepare(&mesh).unwrap();
+        assert_eq!(prepared.components.len(), 2);
+        assert_eq!(prepared.report.split_vertices, 1);
+        prepared.components.iter().for_each(check_manifold);
+    }
+
+    #[test]
+    fn duplicates_and_degenerates_go() {
+        let mut mesh = cube();
+        mesh.triangles.extend([[0, 2, 3], [2, 3, 0], [1, 1, 2]]);
+        let prepared = prepare(&mesh).unwrap();
+        assert_eq!((prepared.report.duplicates, prepared.report.degenerate), (2, 1));
+        assert!((prepared.components[0].volume() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn nothing_and_flat_nothing_are_errors() {
+        assert_eq!(prepare(&TriangleMesh::default()).unwrap_err(), PreparationError::NoTriangles);
+        let line = TriangleMesh { vertices: vec![Point3::origin(); 3], triangles: vec![[0, 1, 2]] };
+        assert_eq!(prepare(&line).unwrap_err(), PreparationError::AllDegenerate { triangles: 1 });
+    }
+}

@@ -1,0 +1,222 @@
+//! The real binary: extract, compare and phantom.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use rosaline::centerline::TABLE;
+use rosaline::output::read_json;
+use serde_json::Value;
+
+fn rosaline(folder: &Path, words: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_rosaline")).current_dir(folder).args(words).output().unwrap()
+}
+
+/// Runs, and fails the test with stderr when the exit code is not 0.
+fn done(folder: &Path, words: &[&str]) -> Output {
+    let output = rosaline(folder, words);
+    assert!(output.status.success(), "{words:?}: {}", text(&output.stderr));
+    output
+}
+
+/// The one line on stderr of a run that ends with exit code 1.
+fn failure(folder: &Path, words: &[&str]) -> String {
+    let output = rosaline(folder, words);
+    let line = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{words:?}: {line}");
+    assert!(output.stdout.is_empty(), "{words:?}");
+    assert_eq!(line.lines().count(), 1, "{line}");
+    assert!(line.starts_with("rosaline: "), "{line}");
+    line
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+fn files(folder: &Path) -> Vec<String> {
+    let name = |entry: std::io::Result<fs::DirEntry>| entry.unwrap().file_name().into_string().unwrap();
+    let mut names: Vec<_> = fs::read_dir(folder).unwrap().map(name).collect();
+    names.sort();
+    names
+}
+
+/// A folder with the phantom of a bifurcation.
+fn bifurcation() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    done(folder.path(), &["phantom", "bifurcation", "--seed", "3", "-o", "vessel"]);
+    folder
+}
+
+#[test]
+fn a_phantom_is_extracted_and_measured_against_its_line() {
+    let folder = bifurcation();
+    let folder = folder.path();
+    assert_eq!(files(folder), ["vessel.json", "vessel.stl"]);
+    let output = done(folder, &["extract", "vessel.stl", "-o", "line.json"]);
+    assert_eq!(text(&output.stdout), "");
+    assert!(!text(&output.stderr).contains('%'), "no progress bar off a terminal");
+    assert_eq!(files(folder), ["line.json", "vessel.json", "vessel.stl"]);
+
+    let document = read_json(&fs::read(folder.join("line.json")).unwrap()).unwrap();
+    assert_eq!(document.source.name.as_deref(), Some("vessel.stl"));
+    assert_eq!((document.source.format.as_str(), document.units.as_str()), ("stl", "mm"));
+    let truth = read_json(&fs::read(folder.join("vessel.json")).unwrap()).unwrap();
+    assert_eq!(document.source.sha256, truth.source.sha256);
+    assert_eq!(document.source.vertices, truth.source.vertices);
+    assert!((document.source.diagonal - truth.source.diagonal).abs() < 1e-4);
+    assert_eq!(truth.method.preset, "phantom");
+
+    let output = done(folder, &["compare", "vessel.json", "line.json", "--json"]);
+    let measures: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(measures["tips"], serde_json::json!({"truth": 3, "result": 3}));
+    assert_eq!(measures["parts"]["result"], 1);
+    let percent = measures["o_mean"]["percent"].as_f64().unwrap();
+    let absolute = measures["o_mean"]["absolute"].as_f64().unwrap();
+    assert!(percent > 0.0 && percent < 0.1, "{percent}");
+    assert!((absolute / truth.source.diagonal * 100.0 - percent).abs() < 1e-9);
+    let table = text(&done(folder, &["compare", "vessel.json", "line.json"]).stdout);
+    for name in ["O_max", "O_mean", "O_var", "missed", "cover", "excess", "radius", "tips", "loops", "parts"]
+    {
+        assert!(table.lines().any(|line| line.starts_with(name)), "{name}: {table}");
+    }
+}
+
+#[test]
+fn the_extension_chooses_the_format_and_threads_change_no_byte() {
+    let folder = bifurcation();
+    let folder = folder.path();
+    for name in ["a.json", "a.glb", "a.GLTF"] {
+        done(folder, &["extract", "vessel.stl", "-o", name, "--threads", "1"]);
+        let single = fs::read(folder.join(name)).unwrap();
+        done(folder, &["extract", "vessel.stl", "-o", name, "--threads", "3"]);
+        assert_eq!(fs::read(folder.join(name)).unwrap(), single, "{name}");
+    }
+    assert!(fs::read(folder.join("a.glb")).unwrap().starts_with(b"glTF"));
+    let gltf: Value = serde_json::from_slice(&fs::read(folder.join("a.GLTF")).unwrap()).unwrap();
+    assert_eq!(gltf["asset"]["version"], "2.0");
+    assert_eq!(gltf["meshes"][0]["primitives"].as_array().unwrap().len(), 3);
+}
+
+#[test]
+fn verbose_tells_what_was_found_and_how_long_each_stage_took() {
+    let folder = bifurcation();
+    let output = done(folder.path(), &["extract", "vessel.stl", "-o", "line.json", "-v"]);
+    let told = text(&output.stderr);
+    assert!(told.contains("3 branches, 3 ends, "), "{told}");
+    for stage in rosaline::centerline::Stage::ALL {
+        assert!(told.lines().any(|line| line.starts_with(stage.name()) && line.ends_with(" s")), "{told}");
+    }
+    for part in ["reading", "writing", "total"] {
+        assert!(told.lines().any(|line| line.starts_with(part)), "{told}");
+    }
+}
+
+#[test]
+fn units_and_parameters_go_into_the_result() {
+    let folder = bifurcation();
+    let words = ["extract", "vessel.stl", "-o", "line.json", "--units", "cm", "--tip_height", "1.25"];
+    done(folder.path(), &words);
+    let document: Value =
+        serde_json::from_slice(&fs::read(folder.path().join("line.json")).unwrap()).unwrap();
+    assert_eq!(document["units"], "cm");
+    assert_eq!(document["method"]["preset"], "default");
+    assert_eq!(document["method"]["parameters"]["tip_height"], 1.25);
+    assert_eq!(document["method"]["parameters"]["smoothing"], false);
+    // The coordinates are the mesh's own, whatever the unit is called.
+    assert!((document["source"]["diagonal"].as_f64().unwrap() - 50.0).abs() < 20.0);
+    let line = failure(folder.path(), &["compare", "vessel.json", "line.json"]);
+    assert!(line.contains("in mm and the result in cm"), "{line}");
+}
+
+#[test]
+fn help_lists_every_parameter_with_unit_range_and_default() {
+    let help = text(&done(Path::new("."), &["extract", "--help"]).stdout);
+    let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
+    for spec in TABLE {
+        assert!(help.contains(&format!("--{}", spec.name)), "{}", spec.name);
+        assert!(help.contains(spec.doc), "{}", spec.name);
+    }
+    assert!(help.contains("[unit: diagonal; 0.0005 to 0.2; default: 0.025]"), "{help}");
+}
+
+#[test]
+fn a_failure_is_one_line_and_leaves_no_file() {
+    let folder = bifurcation();
+    let folder = folder.path();
+    fs::write(folder.join("picture.png"), b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR").unwrap();
+    fs::write(folder.join("empty.stl"), b"").unwrap();
+    let whole = fs::read(folder.join("vessel.stl")).unwrap();
+    fs::write(folder.join("half.stl"), &whole[..whole.len() / 2]).unwrap();
+    fs::write(folder.join("kept.json"), b"an older result").unwrap();
+    let before = files(folder);
+    for (words, expected) in [
+        (vec!["nothing.stl", "-o", "out.json"], "cannot read nothing.stl"),
+        (vec!["picture.png", "-o", "out.json"], "PNG"),
+        (vec!["empty.stl", "-o", "out.json"], "empty"),
+        (vec!["half.stl", "-o", "kept.json"], "ends early"),
+        (vec!["vessel.stl", "-o", "out.vtp"], ".json, .glb or .gltf"),
+        (vec!["vessel.stl", "-o", "out"], ".json, .glb or .gltf"),
+        (vec!["vessel.stl", "-o", "no/such/out.json"], "its folder does not exist"),
+        (vec!["vessel.stl", "-o", "out.json", "--mu", "3"], "0.05 to 0.95"),
+        (vec!["vessel.stl", "-o", "out.json", "--omega", "nan"], "0.34 to 0.999"),
+    ] {
+        let words: Vec<_> = ["extract"].into_iter().chain(words).collect();
+        let line = failure(folder, &words);
+        assert!(line.contains(expected), "{words:?}: {line}");
+        assert_eq!(files(folder), before, "{words:?}");
+    }
+    assert_eq!(fs::read(folder.join("kept.json")).unwrap(), b"an older result");
+    let line = failure(folder, &["compare", "vessel.json", "picture.png"]);
+    assert!(line.contains("picture.png"), "{line}");
+    failure(folder, &["phantom", "tree", "--voxel=9", "-o", "coarse"]);
+    failure(folder, &["phantom", "tube", "-o", "no/such/prefix"]);
+    assert_eq!(files(folder), before);
+}
+
+#[test]
+fn wrong_arguments_end_with_exit_code_2() {
+    for words in [
+        vec!["extract", "a.stl"],
+        vec!["extract", "a.stl", "-o", "b.json", "--preset", "best"],
+        vec!["extract", "a.stl", "-o", "b.json", "--units", "furlong"],
+        vec!["phantom", "octopus", "-o", "a"],
+        vec!["phantom", "tree", "-o", "a", "--coarse", "--voxel", "1"],
+        vec!["compare", "a.json"],
+    ] {
+        assert_eq!(rosaline(Path::new("."), &words).status.code(), Some(2), "{words:?}");
+    }
+}
+
+#[test]
+fn phantoms_have_the_faults_that_were_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let make = |name: &str, more: &[&str]| {
+        let words: Vec<_> =
+            ["phantom", "tube", "--seed", "2", "-o", name].iter().chain(more).copied().collect();
+        done(folder, &words);
+        let document: Value =
+            serde_json::from_slice(&fs::read(folder.join(format!("{name}.json"))).unwrap()).unwrap();
+        (fs::read(folder.join(format!("{name}.stl"))).unwrap(), document)
+    };
+    let (clean, line) = make("v1.5-clean", &[]);
+    assert_eq!(line["source"]["openings"], 0);
+    assert_eq!(line["method"]["parameters"]["seed"], 2.0);
+    assert_eq!(make("again", &[]).0, clean);
+    for (name, words, parameter, value) in [
+        ("noise", vec!["--noise"], "noise", Value::from(0.2)),
+        ("rough", vec!["--noise=0.4"], "noise", Value::from(0.4)),
+        ("stair", vec!["--stair"], "stair", Value::from(true)),
+        ("coarse", vec!["--coarse"], "voxel", Value::from(3.0 * 0.4)),
+        ("voxel", vec!["--voxel", "0.7"], "voxel", Value::from(0.7)),
+        ("open", vec!["--open"], "open", Value::from(true)),
+    ] {
+        let (surface, document) = make(name, &words);
+        assert_ne!(surface, clean, "{name}");
+        assert_eq!(document["method"]["parameters"][parameter], value, "{name}");
+        assert_eq!(document["branches"], line["branches"], "{name}");
+        assert_eq!(document["source"]["openings"], if name == "open" { 2 } else { 0 }, "{name}");
+    }
+}

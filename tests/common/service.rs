@@ -1,0 +1,248 @@
+//! The real service: the binary on a free port with a data folder of its own, and a client.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex, mpsc};
+use std::time::{Duration, Instant};
+
+use reqwest::{Client, RequestBuilder, Response, StatusCode};
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// Far longer than anything here takes on an idle machine.
+pub const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A running `rosaline serve`; dropping it kills it.
+pub struct Service {
+    child: Child,
+    /// `http://127.0.0.1:PORT`
+    pub url: String,
+    pub client: Client,
+    log: Arc<Mutex<String>>,
+    data: Arc<TempDir>,
+}
+
+/// `rosaline serve` on a free port, without settings from this process's environment.
+pub fn command(data: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+    for (name, _) in std::env::vars_os().filter(|(name, _)| name.as_encoded_bytes().starts_with(b"ROSALINE_"))
+    {
+        command.env_remove(name);
+    }
+    // As variables, so that a test's flags override them.
+    command.arg("serve").env("ROSALINE_LISTEN", "127.0.0.1:0").env("ROSALINE_DATA", data);
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+impl Service {
+    /// With a fresh data folder.
+    pub fn start(arguments: &[&str]) -> Self {
+        Self::start_on(Arc::new(tempfile::tempdir().unwrap()), arguments)
+    }
+
+    /// With a data folder that another one may have used.
+    pub fn start_on(data: Arc<TempDir>, arguments: &[&str]) -> Self {
+        let mut child = command(data.path()).args(arguments).spawn().unwrap();
+        let log = Arc::new(Mutex::new(String::new()));
+        collect(child.stderr.take().unwrap(), log.clone());
+        let Some(line) = first_line(child.stdout.take().unwrap()) else {
+            child.kill().ok();
+            child.wait().ok();
+            panic!("the service did not start: {}", log.lock().unwrap());
+        };
+        let url = line.trim().strip_prefix("listening on ").unwrap().to_owned();
+        Self { child, url, client: Client::new(), log, data }
+    }
+
+    /// Starts again on the same folder after this one has ended.
+    pub fn restart(self, arguments: &[&str]) -> Self {
+        let data = self.data.clone();
+        drop(self);
+        Self::start_on(data, arguments)
+    }
+
+    pub fn data(&self) -> PathBuf {
+        self.data.path().to_owned()
+    }
+
+    pub fn address(&self) -> &str {
+        self.url.trim_start_matches("http://")
+    }
+
+    /// What it logged so far.
+    pub fn log(&self) -> String {
+        self.log.lock().unwrap().clone()
+    }
+
+    /// SIGKILL.
+    pub fn kill(&mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+
+    /// SIGTERM.
+    pub fn terminate(&self) {
+        let pid = self.child.id().to_string();
+        assert!(Command::new("kill").args(["-TERM", &pid]).status().unwrap().success());
+    }
+
+    /// Waits for its end.
+    pub fn wait(&mut self) -> ExitStatus {
+        let begin = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status;
+            }
+            assert!(begin.elapsed() < PATIENCE, "the service does not end: {}", self.log());
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    pub fn get(&self, path: &str) -> RequestBuilder {
+        self.client.get(format!("{}{path}", self.url))
+    }
+
+    pub fn delete(&self, path: &str) -> RequestBuilder {
+        self.client.delete(format!("{}{path}", self.url))
+    }
+
+    pub fn post(&self, path: &str) -> RequestBuilder {
+        self.client.post(format!("{}{path}", self.url))
+    }
+
+    /// Posts a mesh as raw bytes.
+    pub async fn submit(&self, query: &str, body: impl Into<reqwest::Body>) -> Response {
+        let request =
+            self.post(&format!("/v1/jobs{query}")).header("content-type", "application/octet-stream");
+        request.body(body).send().await.unwrap()
+    }
+
+    /// Posts a mesh that must be accepted; the job's path.
+    pub async fn accepted(&self, query: &str, body: impl Into<reqwest::Body>) -> String {
+        let response = self.submit(query, body).await;
+        let (status, headers) = (response.status(), response.headers().clone());
+        assert_eq!(status, StatusCode::CREATED, "{}", response.text().await.unwrap());
+        headers["location"].to_str().unwrap().to_owned()
+    }
+
+    /// Posts more work than is done while it is posted: jobs that smooth their mesh first, which takes long.
+    pub async fn backlog(&self, count: usize, mesh: &[u8]) -> Vec<String> {
+        let mesh = bytes::Bytes::copy_from_slice(mesh);
+        let mut jobs = Vec::new();
+        for _ in 0..count {
+            jobs.push(self.accepted("?smoothing=true", mesh.clone()).await);
+        }
+        jobs
+    }
+
+    /// A job that runs and is not near its end.
+    pub async fn running(&self) -> String {
+        let begin = Instant::now();
+        loop {
+            let response = self.get("/v1/jobs?status=running").send().await.unwrap();
+            let list: Value = response.json().await.unwrap();
+            let early = |job: &&Value| job["progress"].as_u64().is_some_and(|progress| progress < 50);
+            if let Some(job) = list["jobs"].as_array().unwrap().iter().find(early) {
+                return job["links"][0]["href"].as_str().unwrap().to_owned();
+            }
+            assert!(begin.elapsed() < PATIENCE, "no job runs: {}", self.log());
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+    }
+
+    pub async fn status(&self, job: &str) -> Value {
+        let response = self.get(job).send().await.unwrap();
+        assert_eq!(response.status(), StatusCode::OK);
+        response.json().await.unwrap()
+    }
+
+    /// The job's status once it has ended.
+    pub async fn ended(&self, job: &str) -> Value {
+        self.until(job, |status| !matches!(status["status"].as_str(), Some("accepted" | "running"))).await
+    }
+
+    /// The job's status once `fits`.
+    pub async fn until(&self, job: &str, fits: impl Fn(&Value) -> bool) -> Value {
+        let begin = Instant::now();
+        loop {
+            let status = self.status(job).await;
+            if fits(&status) {
+                return status;
+            }
+            assert!(begin.elapsed() < PATIENCE, "{status} after {PATIENCE:?}: {}", self.log());
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    }
+
+    /// It still answers.
+    pub async fn assert_alive(&self) {
+        assert_eq!(self.get("/readyz").send().await.unwrap().status(), StatusCode::OK);
+    }
+
+    /// Files in its blob folder, whoever they belong to.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let mut files = Vec::new();
+        let mut folders = vec![self.data.path().join("blobs")];
+        while let Some(folder) = folders.pop() {
+            let Ok(entries) = std::fs::read_dir(folder) else { continue };
+            for path in entries.map(|entry| entry.unwrap().path()) {
+                if path.is_dir() { folders.push(path) } else { files.push(path) }
+            }
+        }
+        files
+    }
+
+    /// The blob folder has no files; a short while is granted for those of a request that has just ended.
+    pub async fn assert_no_files(&self) {
+        let begin = Instant::now();
+        while !self.files().is_empty() {
+            assert!(begin.elapsed() < Duration::from_secs(10), "{:?} stay", self.files());
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    }
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}
+
+/// The first line of stdout, `None` when it ends before one or nothing comes. Reads on to the end.
+fn first_line(stdout: impl Read + Send + 'static) -> Option<String> {
+    let (sender, receiver) = mpsc::channel();
+    std::thread::spawn(move || {
+        let mut lines = BufReader::new(stdout).lines();
+        if let Some(Ok(line)) = lines.next() {
+            sender.send(line).ok();
+        }
+        lines.for_each(drop);
+    });
+    receiver.recv_timeout(PATIENCE).ok()
+}
+
+fn collect(stderr: impl Read + Send + 'static, log: Arc<Mutex<String>>) {
+    std::thread::spawn(move || {
+        for line in BufReader::new(stderr).lines().map_while(Result::ok) {
+            let mut log = log.lock().unwrap();
+            log.push_str(&line);
+            log.push('\n');
+        }
+    });
+}
+
+/// Asserts a problem body of this kind and status; the body.
+pub async fn problem(response: Response, status: u16, word: &str) -> Value {
+    let (found, kind) = (response.status().as_u16(), response.headers().get("content-type").cloned());
+    let text = response.text().await.unwrap();
+    assert_eq!(found, status, "{text}");
+    assert_eq!(kind.unwrap(), "application/problem+json", "{text}");
+    let body: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(body["type"], format!("urn:rosaline:problem:{word}"), "{text}");
+    assert_eq!(body["status"], status);
+    assert!(body["title"].is_string() && body["detail"].is_string(), "{text}");
+    body
+}

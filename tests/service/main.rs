@@ -1,0 +1,20 @@
+//! The real service over real sockets, with real faults.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+#[path = "../common/mod.rs"]
+mod common;
+#[path = "../common/meshes.rs"]
+mod meshes;
+#[path = "../common/service.rs"]
+mod service;
+
+mod busy;
+mod deletion;
+mod listing;
+mod refusals;
+mod restarts;
+mod results;
+mod setup;
+mod shared_meshes;
+mod submission;
+mod uploads;

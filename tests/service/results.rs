@@ -1,0 +1,138 @@
+//! Results: negotiation, entity tags, ranges.
+
+use reqwest::{Method, RequestBuilder, StatusCode};
+
+use crate::meshes;
+use crate::service::{Service, problem};
+
+async fn finished() -> (Service, String) {
+    let service = Service::start(&[]);
+    let job = service.accepted("", meshes::small()).await;
+    assert_eq!(service.ended(&job).await["status"], "successful");
+    (service, format!("{job}/results/centerline"))
+}
+
+async fn content_type(request: RequestBuilder) -> String {
+    let response = request.send().await.unwrap();
+    assert_eq!(response.status(), StatusCode::OK);
+    response.headers()["content-type"].to_str().unwrap().to_owned()
+}
+
+#[tokio::test]
+async fn accept_chooses_and_an_extension_beats_it() {
+    let (service, result) = finished().await;
+    for (accept, expected) in [
+        ("*/*", "application/json"),
+        ("model/gltf-binary", "model/gltf-binary"),
+        ("model/gltf+json;q=0.9, application/json;q=0.1", "model/gltf+json"),
+        ("text/html, model/*;q=0.5", "model/gltf-binary"),
+    ] {
+        assert_eq!(content_type(service.get(&result).header("accept", accept)).await, expected, "{accept}");
+    }
+    let glb = service.get(&format!("{result}.glb")).header("accept", "application/json");
+    assert_eq!(content_type(glb).await, "model/gltf-binary");
+    let response = service.get(&result).header("accept", "model/gltf-binary").send().await.unwrap();
+    assert_eq!(response.headers()["vary"], "accept");
+    assert_eq!(response.headers()["content-location"], format!("{result}.glb"));
+    assert_eq!(&response.bytes().await.unwrap()[..4], b"glTF");
+    let response = service.get(&result).header("accept", "text/html").send().await.unwrap();
+    assert_eq!(response.headers()["vary"], "accept");
+    let body = problem(response, 406, "not-acceptable").await;
+    assert_eq!(body["available"].as_array().unwrap().len(), 3);
+    let response = service.get(&format!("{result}.vtp")).send().await.unwrap();
+    problem(response, 404, "not-found").await;
+}
+
+#[tokio::test]
+async fn a_result_is_cached_by_its_entity_tag() {
+    let (service, result) = finished().await;
+    let mut tags = Vec::new();
+    for extension in ["", ".json", ".gltf", ".glb"] {
+        let path = format!("{result}{extension}");
+        let response = service.get(&path).send().await.unwrap();
+        assert_eq!(response.headers()["cache-control"], "private, max-age=31536000, immutable");
+        let tag = response.headers()["etag"].clone();
+        assert!(tag.to_str().unwrap().starts_with('"'), "a strong tag");
+        let response = service.get(&path).header("if-none-match", &tag).send().await.unwrap();
+        assert_eq!(response.status(), StatusCode::NOT_MODIFIED);
+        assert_eq!(response.headers()["etag"], tag);
+        assert!(response.bytes().await.unwrap().is_empty());
+        let response = service.get(&path).header("if-none-match", "\"other\"").send().await.unwrap();
+        assert_eq!(response.status(), StatusCode::OK);
+        tags.push(tag);
+    }
+    assert_eq!(tags[0], tags[1], "JSON either way");
+    assert!(tags[1] != tags[2] && tags[2] != tags[3]);
+}
+
+#[tokio::test]
+async fn ranges_are_parts_of_the_whole() {
+    let (service, result) = finished().await;
+    let path = format!("{result}.glb");
+    let response = service.get(&path).send().await.unwrap();
+    assert_eq!(response.headers()["accept-ranges"], "bytes");
+    let tag = response.headers()["etag"].clone();
+    let whole = response.bytes().await.unwrap();
+    let length = whole.len();
+    for (range, from, to) in [
+        ("bytes=0-99".to_owned(), 0, 100),
+        ("bytes=100-".to_owned(), 100, length),
+        ("bytes=-7".to_owned(), length - 7, length),
+        (format!("bytes=10-{}", length * 2), 10, length),
+    ] {
+        let response = service.get(&path).header("range", &range).send().await.unwrap();
+        assert_eq!(response.status(), StatusCode::PARTIAL_CONTENT, "{range}");
+        assert_eq!(response.headers()["content-range"], format!("bytes {from}-{}/{length}", to - 1));
+        assert_eq!(response.headers()["etag"], tag);
+        assert_eq!(response.bytes().await.unwrap(), whole.slice(from..to), "{range}");
+    }
+    let response = service.get(&path).header("range", format!("bytes={length}-")).send().await.unwrap();
+    assert_eq!(response.headers()["content-range"], format!("bytes */{length}"));
+    problem(response, 416, "range-not-satisfiable").await;
+    for (condition, status) in [(tag.to_str().unwrap(), 206), ("\"other\"", 200)] {
+        let request = service.get(&path).header("range", "bytes=0-9").header("if-range", condition);
+        assert_eq!(request.send().await.unwrap().status(), status);
+    }
+}
+
+#[tokio::test]
+async fn head_is_get_without_the_body() {
+    let (service, result) = finished().await;
+    let job = result.strip_suffix("/results/centerline").unwrap();
+    for path in [&result, &format!("{result}.glb"), job, "/v1/jobs", "/healthz", "/readyz", "/openapi.yaml"] {
+        let got = service.get(path).send().await.unwrap();
+        let head =
+            service.client.request(Method::HEAD, format!("{}{path}", service.url)).send().await.unwrap();
+        assert_eq!(head.status(), got.status(), "{path}");
+        for name in ["content-type", "content-length", "etag", "cache-control"] {
+            assert_eq!(head.headers().get(name), got.headers().get(name), "{name} of {path}");
+        }
+        assert!(head.bytes().await.unwrap().is_empty());
+    }
+}
+
+#[tokio::test]
+async fn a_browser_may_read_what_it_needs() {
+    let (service, result) = finished().await;
+    let response = service.get(&result).header("origin", "https://viewer.example").send().await.unwrap();
+    assert_eq!(response.headers()["access-control-allow-origin"], "*");
+    let exposed = response.headers()["access-control-expose-headers"].to_str().unwrap().to_owned();
+    for name in ["location", "etag", "retry-after", "link", "content-range", "preference-applied"] {
+        assert!(exposed.split(',').any(|header| header == name), "{name}");
+    }
+    let preflight = service
+        .client
+        .request(Method::OPTIONS, format!("{}/v1/jobs", service.url))
+        .header("origin", "https://viewer.example")
+        .header("access-control-request-method", "POST")
+        .header("access-control-request-headers", "content-type,prefer")
+        .send()
+        .await
+        .unwrap();
+    assert!(preflight.status().is_success());
+    assert!(preflight.headers()["access-control-allow-methods"].to_str().unwrap().contains("DELETE"));
+    let allowed = preflight.headers()["access-control-allow-headers"].to_str().unwrap().to_owned();
+    assert!(["content-type", "prefer", "range", "if-none-match"].iter().all(|name| allowed.contains(name)));
+    let response = service.post("/v1/jobs").header("origin", "https://viewer.example").send().await.unwrap();
+    assert_eq!(response.headers()["access-control-allow-origin"], "*", "errors too");
+}

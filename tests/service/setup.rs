@@ -1,0 +1,93 @@
+//! Starting and not starting.
+
+use std::process::Command;
+
+use crate::meshes;
+use crate::service::{Service, command, problem};
+
+/// Runs a service that must not start; what it says on stderr.
+fn refused(mut command: Command) -> String {
+    let output = command.output().unwrap();
+    assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(output.stdout.is_empty());
+    let text = String::from_utf8(output.stderr).unwrap();
+    let last = text.lines().last().unwrap().to_owned();
+    assert!(last.starts_with("rosaline: "), "{text}");
+    last
+}
+
+#[tokio::test]
+async fn wrong_settings_end_with_one_line() {
+    let service = Service::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let mut taken = command(folder.path());
+    taken.args(["--listen", service.address()]);
+    let line = refused(taken);
+    assert!(line.contains(service.address()) && line.contains("--listen"), "{line}");
+
+    let line = refused(command(&service.data()));
+    assert!(line.contains("another"), "a second service on one folder: {line}");
+    service.assert_alive().await;
+
+    let file = folder.path().join("file");
+    std::fs::write(&file, "x").unwrap();
+    let line = refused(command(&file));
+    assert!(line.contains("data folder"), "{line}");
+}
+
+#[tokio::test]
+async fn settings_come_from_the_environment_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+    command.arg("serve").env("ROSALINE_LISTEN", "nowhere").env("ROSALINE_DATA", folder.path());
+    let line = refused(command);
+    assert!(line.contains("nowhere"), "{line}");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+    let output = command.arg("serve").env("ROSALINE_MAX_UPLOAD", "much").output().unwrap();
+    assert_eq!(output.status.code(), Some(2), "an argument that cannot be read");
+    assert!(String::from_utf8_lossy(&output.stderr).contains("--max-upload"));
+}
+
+#[tokio::test]
+async fn the_data_folder_is_created_and_the_log_can_be_json() {
+    let parent = std::sync::Arc::new(tempfile::tempdir().unwrap());
+    let deep = parent.path().join("a/b");
+    let service = Service::start_on(parent, &["--log-format", "json", "--data", deep.to_str().unwrap()]);
+    let job = service.accepted("?name=doe_jane.stl", meshes::small()).await;
+    assert_eq!(service.ended(&job).await["status"], "successful");
+    assert!(deep.join("jobs.sqlite").is_file());
+    let log = service.log();
+    assert!(log.lines().all(|line| serde_json::from_str::<serde_json::Value>(line).is_ok()), "{log}");
+    assert!(log.contains("\"route\":\"/v1/jobs/{id}\""), "{log}");
+    assert!(log.contains(job.rsplit('/').next().unwrap()) && !log.contains("doe"), "{log}");
+}
+
+#[tokio::test]
+async fn the_health_command_asks_the_service() {
+    let service = Service::start(&[]);
+    let health = |listen: &str| {
+        Command::new(env!("CARGO_BIN_EXE_rosaline")).args(["health", "--listen", listen]).output().unwrap()
+    };
+    assert!(health(service.address()).status.success());
+    let port = service.address().rsplit(':').next().unwrap().to_owned();
+    assert!(health(&format!("0.0.0.0:{port}")).status.success(), "as a container has it in ROSALINE_LISTEN");
+    let address = service.address().to_owned();
+    drop(service);
+    let output = health(&address);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains(&address));
+}
+
+#[tokio::test]
+async fn readiness_says_why_not() {
+    let service = Service::start(&[]);
+    let (blobs, away) = (service.data().join("blobs"), service.data().join("away"));
+    std::fs::rename(&blobs, &away).unwrap();
+    let response = service.get("/readyz").send().await.unwrap();
+    assert!(response.headers().contains_key("retry-after"));
+    let body = problem(response, 503, "not-ready").await;
+    assert!(!body["reasons"].as_array().unwrap().is_empty(), "{body}");
+    assert_eq!(service.get("/healthz").send().await.unwrap().status(), 200);
+    std::fs::rename(&away, &blobs).unwrap();
+    service.assert_alive().await;
+}

@@ -1,0 +1,105 @@
+//! Uploads: their limit, and those that break off.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use futures::stream;
+use reqwest::Body;
+use reqwest::multipart::{Form, Part};
+
+use crate::meshes;
+use crate::service::{Service, problem};
+
+const HEAD: &str = "POST /v1/jobs HTTP/1.1\r\nHost: x\r\nContent-Type: model/stl\r\n";
+
+/// Sends text and reads the answer's status line.
+fn status_line(service: &Service, request: &str) -> String {
+    let mut stream = TcpStream::connect(service.address()).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = [0; 64];
+    let length = stream.read(&mut answer).unwrap();
+    String::from_utf8_lossy(&answer[..length]).lines().next().unwrap().to_owned()
+}
+
+#[tokio::test]
+async fn a_gigabyte_declared_is_refused_before_it_is_sent() {
+    let service = Service::start(&[]);
+    let begin = Instant::now();
+    for expect in ["", "Expect: 100-continue\r\n"] {
+        let request = format!("{HEAD}{expect}Content-Length: {}\r\n\r\n", (1_u64 << 30) + 1);
+        assert_eq!(status_line(&service, &request), "HTTP/1.1 413 Payload Too Large");
+    }
+    assert!(begin.elapsed() < Duration::from_secs(10));
+    service.assert_alive().await;
+}
+
+/// A body that does not say how long it is.
+fn chunked(mebibytes: usize) -> Body {
+    let chunk = Bytes::from(vec![0_u8; 1 << 20]);
+    Body::wrap_stream(stream::iter((0..mebibytes).map(move |_| Ok::<_, std::io::Error>(chunk.clone()))))
+}
+
+#[tokio::test]
+async fn an_upload_past_the_limit_is_refused_and_the_client_sees_it() {
+    let service = Service::start(&["--max-upload", "1MiB"]);
+    for _ in 0..3 {
+        for body in [chunked(20), Body::from(vec![0; 20 << 20]), Body::from(vec![0; (1 << 20) + 1])] {
+            let problem = problem(service.submit("", body).await, 413, "upload-too-large").await;
+            assert_eq!(problem["limit"], 1 << 20);
+        }
+        let form = Form::new().part("mesh", Part::bytes(vec![0; 20 << 20]));
+        let response = service.post("/v1/jobs").multipart(form).send().await.unwrap();
+        problem(response, 413, "upload-too-large").await;
+        let form = Form::new().part("mesh", Part::stream(chunked(20)));
+        let response = service.post("/v1/jobs").multipart(form).send().await.unwrap();
+        problem(response, 413, "upload-too-large").await;
+    }
+    service.assert_no_files().await;
+    let job = service.accepted("", meshes::small()).await;
+    assert_eq!(service.ended(&job).await["status"], "successful");
+}
+
+#[tokio::test]
+async fn an_upload_that_breaks_off_leaves_no_job_and_no_file() {
+    let service = Service::start(&[]);
+    let mesh = meshes::small();
+    for framing in [format!("Content-Length: {}", mesh.len()), "Transfer-Encoding: chunked".to_owned()] {
+        let mut stream = TcpStream::connect(service.address()).unwrap();
+        stream.write_all(format!("{HEAD}{framing}\r\n\r\n").as_bytes()).unwrap();
+        if framing.starts_with('T') {
+            stream.write_all(format!("{:x}\r\n", mesh.len()).as_bytes()).unwrap();
+        }
+        stream.write_all(&mesh[..mesh.len() / 2]).unwrap();
+        std::thread::sleep(Duration::from_millis(200));
+        drop(stream);
+    }
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    service.assert_no_files().await;
+    let list: serde_json::Value = service.get("/v1/jobs").send().await.unwrap().json().await.unwrap();
+    assert_eq!(list["jobs"], serde_json::json!([]));
+    service.assert_alive().await;
+}
+
+#[tokio::test]
+async fn nonsense_on_the_socket_does_no_harm() {
+    let service = Service::start(&[]);
+    for request in [
+        "\x16\x03\x01\x02\0\x01\0",
+        "GET\r\n\r\n",
+        "POST /v1/jobs HTTP/1.1\r\nHost: x\r\nContent-Length: -1\r\n\r\n",
+        "POST /v1/jobs HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n",
+    ] {
+        let mut stream = TcpStream::connect(service.address()).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = [0; 12];
+        // Either an error or the end of the connection.
+        if stream.read(&mut answer).is_ok_and(|length| length == answer.len()) {
+            assert_eq!(&answer, b"HTTP/1.1 400", "{request}");
+        }
+    }
+    service.assert_alive().await;
+}
