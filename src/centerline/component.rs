@@ -1,6 +1,6 @@
 //! The centerline of one component of the surface, before components are put together.
 
-use super::graph::{Branch, Node, Warning};
+use crate::centerline::graph::{Branch, Node, Warning};
 
 /// Nodes and branches of one component; node numbers are its own.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -2,48 +2,26 @@
 //!
 //! No I/O, no clock, no global state. The caller's rayon pool is used.
 
-mod bulges;
 mod component;
 mod connection;
 mod control;
-mod covariance;
-mod critical_points;
-mod cross_sections;
-mod curve_fit;
 mod cut_plane;
-mod ends;
 mod error;
-mod geodesic;
 mod graph;
-mod joint_collapse;
-mod joints;
 mod laplacian_smoothing;
-mod level_sets;
-mod linearity;
-mod network;
-mod normal_lines;
 mod parameters;
-mod point_cloud;
 mod point_grid;
 mod preset_default;
 mod preset_paper;
 mod recentering;
-mod reeb;
-mod root;
-mod section;
 mod segmentation;
 #[cfg(test)]
 mod shapes;
 mod smoothing_filter;
-mod subsampling;
 #[cfg(test)]
 mod test_surfaces;
 mod thinning;
 mod tips;
-mod track;
-mod wall_fit;
-mod wall_shape;
-mod xie_beni;
 
 pub use control::{CancelToken, Control, Progress, Stage};
 pub use error::ExtractError;

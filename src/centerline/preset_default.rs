@@ -8,20 +8,20 @@ use rayon::prelude::*;
 
 use crate::mesh::preparation::{Opening, Surface};
 
-use super::bulges::round_bulge;
-use super::component::ComponentGraph;
-use super::cross_sections::{judge_outward, march, recut, settle};
-use super::ends::{end_point, far_wall};
-use super::geodesic::{EdgeGraph, geodesic};
-use super::joints::{Approach, joint_centre, run_to_centre};
-use super::level_sets::LevelSet;
-use super::network::Network;
-use super::reeb::{ReebGraph, reeb_graph};
-use super::root::root;
-use super::subsampling::{Anchor, settle_radii, smooth, smooth_ring};
-use super::tips::{Chain, chains, farthest};
-use super::track::{Track, rings, stations_of};
-use super::{Control, ExtractError, Parameters, Stage};
+use crate::centerline::component::ComponentGraph;
+use crate::centerline::connection::network::Network;
+use crate::centerline::connection::subsampling::{Anchor, settle_radii, smooth, smooth_ring};
+use crate::centerline::cut_plane::bulges::round_bulge;
+use crate::centerline::cut_plane::cross_sections::{judge_outward, march, recut, settle};
+use crate::centerline::recentering::ends::{end_point, far_wall};
+use crate::centerline::recentering::joints::{Approach, joint_centre, run_to_centre};
+use crate::centerline::segmentation::level_sets::LevelSet;
+use crate::centerline::segmentation::track::{Track, rings, stations_of};
+use crate::centerline::tips::geodesic::{EdgeGraph, geodesic};
+use crate::centerline::tips::reeb::{ReebGraph, reeb_graph};
+use crate::centerline::tips::root::root;
+use crate::centerline::tips::{Chain, chains, farthest};
+use crate::centerline::{Control, ExtractError, Parameters, Stage};
 
 /// Rounds of centering joints and judging the walls on the way to them.
 const JOINT_ROUNDS: usize = 4;
@@ -53,7 +53,7 @@ pub fn extract_component(
 }
 
 /// The Reeb graph of the geodesic distance from the widest end's cap, and its chains.
-pub(super) fn segment(
+pub(in crate::centerline) fn segment(
     surface: &Surface,
     tip_height: f64,
     control: &Control<'_>,
@@ -237,7 +237,10 @@ fn lead_in(surface: &Surface, network: &mut Network, incident: &[(usize, bool)],
 }
 
 /// A closed blob has one short branch: no vessel.
-pub(super) fn refuse_blob(surface: &Surface, graph: &ComponentGraph) -> Result<(), ExtractError> {
+pub(in crate::centerline) fn refuse_blob(
+    surface: &Surface,
+    graph: &ComponentGraph,
+) -> Result<(), ExtractError> {
     let [branch] = &graph.branches[..] else { return Ok(()) };
     let widest = branch.radii.iter().copied().fold(0.0, f64::max);
     let is_blob = surface.openings.len() < 2 && branch.from != branch.to && branch.length() < 2.5 * widest;

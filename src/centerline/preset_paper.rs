@@ -6,23 +6,23 @@ use rayon::prelude::*;
 use crate::mesh::normals::vertex_normals;
 use crate::mesh::preparation::Surface;
 
-use super::component::ComponentGraph;
-use super::connection::Connection;
-use super::control::{Control, Stage};
-use super::critical_points::{self, Tip, vertex_areas};
-use super::cut_plane::{CenterlinePoint, OrientedVertices, centerline_points, gradients};
-use super::geodesic::EdgeGraph;
-use super::joint_collapse::Joints;
-use super::linearity::linearities;
-use super::normal_lines::NormalLines;
-use super::point_cloud::PointCloud;
-use super::point_grid::PointGrid;
-use super::preset_default::{refuse_blob, segment as skeleton};
-use super::recentering::recenter;
-use super::segmentation::{DistanceField, distance_fields, segment};
-use super::thinning::{Thinning, thin};
-use super::xie_beni::best_count;
-use super::{ExtractError, Parameters, laplacian_smoothing};
+use crate::centerline::component::ComponentGraph;
+use crate::centerline::connection::Connection;
+use crate::centerline::control::{Control, Stage};
+use crate::centerline::cut_plane::normal_lines::NormalLines;
+use crate::centerline::cut_plane::{CenterlinePoint, OrientedVertices, centerline_points, gradients};
+use crate::centerline::point_grid::PointGrid;
+use crate::centerline::preset_default::{refuse_blob, segment as skeleton};
+use crate::centerline::recentering::joint_collapse::Joints;
+use crate::centerline::recentering::recenter;
+use crate::centerline::segmentation::{DistanceField, distance_fields, segment};
+use crate::centerline::thinning::linearity::linearities;
+use crate::centerline::thinning::point_cloud::PointCloud;
+use crate::centerline::thinning::{Thinning, thin};
+use crate::centerline::tips::critical_points::{self, Tip, vertex_areas};
+use crate::centerline::tips::geodesic::EdgeGraph;
+use crate::centerline::tips::xie_beni::best_count;
+use crate::centerline::{ExtractError, Parameters, laplacian_smoothing};
 
 /// Passes of the Laplacian smoothing: enough that a point hears of those half a local radius away, within
 /// these bounds.

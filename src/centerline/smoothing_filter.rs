@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::mesh::TriangleMesh;
 
-use super::{Control, ExtractError, Stage};
+use crate::centerline::{Control, ExtractError, Stage};
 
 /// Rounds of filter and update.
 const ROUNDS: usize = 3;

@@ -6,8 +6,8 @@
 
 use nalgebra::Point3;
 
-use super::covariance::Moments;
-use super::point_grid::PointGrid;
+use crate::centerline::point_grid::PointGrid;
+use crate::centerline::thinning::covariance::Moments;
 
 /// Cells a neighbourhood's radius, at least.
 const CELLS_IN_RADIUS: f64 = 8.0;

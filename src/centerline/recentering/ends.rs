@@ -4,8 +4,8 @@ use nalgebra::{Point3, Vector3};
 
 use crate::mesh::preparation::Surface;
 
-use super::curve_fit::CurveEnd;
-use super::track::Track;
+use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
+use crate::centerline::segmentation::track::Track;
 
 /// Where the line of a track, continued past its last station, meets the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -4,21 +4,24 @@
 //! vertices between two of its nodes, in bands of the level, become the samples of one branch, so that parts
 //! and loops are right whatever the points do.
 
+pub mod network;
+pub mod subsampling;
+
 use nalgebra::{Point3, Vector3};
 
 use crate::mesh::preparation::Surface;
 
-use super::ExtractError;
-use super::component::ComponentGraph;
-use super::control::{Control, Stage};
-use super::ends::{end_point, far_wall};
-use super::joint_collapse::meet;
-use super::network::Network;
-use super::point_grid::PointGrid;
-use super::reeb::ReebGraph;
-use super::subsampling::Anchor;
-use super::tips::Chain;
-use super::track::{Station, Track, tangents};
+use crate::centerline::ExtractError;
+use crate::centerline::component::ComponentGraph;
+use crate::centerline::connection::network::Network;
+use crate::centerline::connection::subsampling::Anchor;
+use crate::centerline::control::{Control, Stage};
+use crate::centerline::point_grid::PointGrid;
+use crate::centerline::recentering::ends::{end_point, far_wall};
+use crate::centerline::recentering::joint_collapse::meet;
+use crate::centerline::segmentation::track::{Station, Track, tangents};
+use crate::centerline::tips::Chain;
+use crate::centerline::tips::reeb::ReebGraph;
 
 /// Width of a band of the level, in local radii.
 const BAND: f64 = 0.5;

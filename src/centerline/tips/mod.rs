@@ -5,6 +5,12 @@
 //! vessel that it stands on, whichever is smaller: a blunt bump, a stair of a voxel surface or noise
 //! is no branch, a sac is one. Handles are never touched: loops stay.
 
+pub mod critical_points;
+pub mod geodesic;
+pub mod reeb;
+pub mod root;
+pub mod xie_beni;
+
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
@@ -12,9 +18,9 @@ use nalgebra::Point3;
 
 use crate::mesh::preparation::Surface;
 
-use super::level_sets::{LevelSet, level_set};
-use super::reeb::ReebGraph;
-use super::{CancelToken, ExtractError};
+use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
+use crate::centerline::tips::reeb::ReebGraph;
+use crate::centerline::{CancelToken, ExtractError};
 
 const NONE: u32 = u32::MAX;
 
@@ -258,10 +264,10 @@ pub fn farthest(distance: &[f64]) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::geodesic::{EdgeGraph, geodesic};
-    use super::super::reeb::reeb_graph;
-    use super::super::shapes::{open_tube, sphere, torus};
     use super::*;
+    use crate::centerline::shapes::{open_tube, sphere, torus};
+    use crate::centerline::tips::geodesic::{EdgeGraph, geodesic};
+    use crate::centerline::tips::reeb::reeb_graph;
     use crate::mesh::TriangleMesh;
     use crate::mesh::preparation::prepare;
 

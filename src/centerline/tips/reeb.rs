@@ -9,8 +9,8 @@ use nalgebra::Point3;
 
 use crate::mesh::corner_table::{CornerTable, NONE, next};
 
-use super::geodesic::Geodesic;
-use super::{CancelToken, ExtractError};
+use crate::centerline::tips::geodesic::Geodesic;
+use crate::centerline::{CancelToken, ExtractError};
 
 /// A critical point of the function.
 #[derive(Debug, Clone, PartialEq)]

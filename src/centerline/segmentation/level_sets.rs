@@ -4,7 +4,7 @@ use nalgebra::{Point3, Vector3};
 
 use crate::mesh::corner_table::CornerTable;
 
-use super::reeb::{LevelWalk, ReebGraph, crossing};
+use crate::centerline::tips::reeb::{LevelWalk, ReebGraph, crossing};
 
 /// One component of a level set: a closed polygon on the surface.
 #[derive(Debug, Clone)]

@@ -9,7 +9,7 @@ use nalgebra::Point3;
 use crate::mesh::corner_table::CornerTable;
 use crate::mesh::preparation::Opening;
 
-use super::{CancelToken, ExtractError};
+use crate::centerline::{CancelToken, ExtractError};
 
 /// Distances from a source, and the order in which the vertices were reached.
 #[derive(Debug, Clone, Default)]

@@ -6,14 +6,14 @@
 
 use nalgebra::{Point3, Vector3};
 
-use super::covariance::Moments;
-use super::cut_plane::CenterlinePoint;
-use super::network::Network;
-use super::normal_lines::NormalLines;
-use super::point_grid::PointGrid;
-use super::recentering::joint_centre;
-use super::subsampling::Anchor;
-use super::track::Station;
+use crate::centerline::connection::network::Network;
+use crate::centerline::connection::subsampling::Anchor;
+use crate::centerline::cut_plane::CenterlinePoint;
+use crate::centerline::cut_plane::normal_lines::NormalLines;
+use crate::centerline::point_grid::PointGrid;
+use crate::centerline::recentering::joint_centre;
+use crate::centerline::segmentation::track::Station;
+use crate::centerline::thinning::covariance::Moments;
 
 /// Points closer than this (radii of the thinnest branch) to where the branches cross are of the joint there.
 const POINTS_REACH: f64 = 0.75;

@@ -3,12 +3,14 @@
 //! It evens the points of a branch, and draws those near a segment's border across it, so that the points of
 //! neighbouring segments come together in the joint.
 
+pub mod curve_fit;
+
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
-use super::ExtractError;
-use super::control::{Control, Stage};
-use super::geodesic::EdgeGraph;
+use crate::centerline::ExtractError;
+use crate::centerline::control::{Control, Stage};
+use crate::centerline::tips::geodesic::EdgeGraph;
 
 /// How much of the way to its neighbours' mean a point goes in one pass; the whole way would let the points
 /// of a regular mesh swap places.

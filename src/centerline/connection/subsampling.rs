@@ -2,9 +2,9 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use super::curve_fit::{Stiffness, fit_curve};
-use super::track::{SPACING, Sight, Station, Track, update_tangents};
-use super::wall_shape::WallShape;
+use crate::centerline::cut_plane::wall_shape::WallShape;
+use crate::centerline::laplacian_smoothing::curve_fit::{Stiffness, fit_curve};
+use crate::centerline::segmentation::track::{SPACING, Sight, Station, Track, update_tangents};
 
 /// Stiffness of a branch: waves shorter than about six radii are noise of the wall.
 const STIFFNESS: Stiffness = Stiffness { third: 150.0, second: 0.02 };
@@ -64,7 +64,9 @@ pub fn smooth_ring(track: &mut Track) {
     }
     let closed: Vec<Point3<f64>> =
         [n - 1].into_iter().chain(0..n).chain([0]).map(|i| track.stations[i].point).collect();
-    for (station, tangent) in track.stations.iter_mut().zip(&super::track::tangents(&closed)[1..]) {
+    for (station, tangent) in
+        track.stations.iter_mut().zip(&crate::centerline::segmentation::track::tangents(&closed)[1..])
+    {
         station.tangent = *tangent;
     }
 }

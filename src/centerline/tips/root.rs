@@ -8,9 +8,9 @@ use nalgebra::{Point3, Vector3};
 use crate::mesh::corner_table::next;
 use crate::mesh::preparation::Surface;
 
-use super::level_sets::{LevelSet, level_set};
-use super::reeb::ReebGraph;
-use super::tips::Chain;
+use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
+use crate::centerline::tips::Chain;
+use crate::centerline::tips::reeb::ReebGraph;
 
 /// Where to take distances from.
 #[derive(Debug, Clone, PartialEq)]

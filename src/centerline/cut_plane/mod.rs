@@ -1,13 +1,20 @@
 //! The optimal cut plane of every vertex and its centerline point (IV.B, eqs. 4 and 8-10).
 
+pub mod bulges;
+pub mod cross_sections;
+pub mod normal_lines;
+pub mod section;
+pub mod wall_fit;
+pub mod wall_shape;
+
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
-use super::control::{Control, Stage};
-use super::covariance::Moments;
-use super::geodesic::EdgeGraph;
-use super::normal_lines::NormalLines;
-use super::{CancelToken, ExtractError};
+use crate::centerline::control::{Control, Stage};
+use crate::centerline::cut_plane::normal_lines::NormalLines;
+use crate::centerline::thinning::covariance::Moments;
+use crate::centerline::tips::geodesic::EdgeGraph;
+use crate::centerline::{CancelToken, ExtractError};
 
 /// The iteration of eq. 4 stops when the normal turns by less than this sine (half a degree) ...
 const SETTLED: f64 = 0.0087;
@@ -232,9 +239,9 @@ mod tests {
     use std::f64::consts::TAU;
 
     use super::*;
-    use crate::centerline::geodesic::geodesic;
     use crate::centerline::shapes::torus;
     use crate::centerline::test_surfaces::{capsule, closed_surface};
+    use crate::centerline::tips::geodesic::geodesic;
     use crate::mesh::preparation::Surface;
 
     fn points_of(

@@ -3,10 +3,10 @@
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use super::ExtractError;
-use super::control::{Control, Stage};
-use super::covariance::{Moments, PrincipalAxes};
-use super::point_cloud::PointCloud;
+use crate::centerline::ExtractError;
+use crate::centerline::control::{Control, Stage};
+use crate::centerline::thinning::covariance::{Moments, PrincipalAxes};
+use crate::centerline::thinning::point_cloud::PointCloud;
 
 /// Eq. 5: `beta = l1 / (l1 + l2 + l3)` of the eigenvalues of the points' covariance: 1 on a line, 1/2 for an
 /// even spread in a plane, 1/3 in space. One for points that all coincide.

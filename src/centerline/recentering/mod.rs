@@ -1,12 +1,16 @@
 //! Re-centering of the branches' centerline points, and the collapse of a joint's to its centre (IV.D, eq. 10).
 
+pub mod ends;
+pub mod joint_collapse;
+pub mod joints;
+
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use super::ExtractError;
-use super::control::{Control, Stage};
-use super::normal_lines::NormalLines;
-use super::point_cloud::PointCloud;
+use crate::centerline::ExtractError;
+use crate::centerline::control::{Control, Stage};
+use crate::centerline::cut_plane::normal_lines::NormalLines;
+use crate::centerline::thinning::point_cloud::PointCloud;
 
 /// Each point as eq. 10 puts it over all vertices on the cut planes of the points of `cloud` closer than its
 /// entry of `reach` (in the input's unit).

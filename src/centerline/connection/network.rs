@@ -2,12 +2,12 @@
 
 use nalgebra::{Point3, Vector3};
 
-use super::component::ComponentGraph;
-use super::graph::{Branch, Node, NodeKind};
-use super::reeb::ReebGraph;
-use super::subsampling::{Anchor, subsample};
-use super::tips::Chain;
-use super::track::Track;
+use crate::centerline::component::ComponentGraph;
+use crate::centerline::connection::subsampling::{Anchor, subsample};
+use crate::centerline::graph::{Branch, Node, NodeKind};
+use crate::centerline::segmentation::track::Track;
+use crate::centerline::tips::Chain;
+use crate::centerline::tips::reeb::ReebGraph;
 
 /// A place where branches end or meet.
 #[derive(Debug, Clone, Copy)]

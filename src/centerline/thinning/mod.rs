@@ -1,14 +1,18 @@
 //! Thinning of the branches' centerline points (IV.C, eqs. 6-7, Algorithm 1).
 
+pub mod covariance;
+pub mod linearity;
+pub mod point_cloud;
+
 use std::f64::consts::PI;
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
-use super::ExtractError;
-use super::control::{Control, Stage};
-use super::covariance::{Moments, PrincipalAxes};
-use super::point_cloud::PointCloud;
+use crate::centerline::ExtractError;
+use crate::centerline::control::{Control, Stage};
+use crate::centerline::thinning::covariance::{Moments, PrincipalAxes};
+use crate::centerline::thinning::point_cloud::PointCloud;
 
 /// The neighbourhood never grows past this many times its first radius: where its points lie evenly to all
 /// sides (a sac), Algorithm 1 as printed would not end.

@@ -240,8 +240,8 @@ pub fn signed_angle(a: &Vector2<f64>, b: &Vector2<f64>) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::shapes::open_tube;
     use super::*;
+    use crate::centerline::shapes::open_tube;
     use crate::mesh::preparation::prepare;
 
     #[test]

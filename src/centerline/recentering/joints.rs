@@ -9,11 +9,13 @@ use nalgebra::{Matrix3, Point3, Unit, Vector3};
 
 use crate::mesh::preparation::Surface;
 
-use super::curve_fit::CurveEnd;
-use super::level_sets::LevelSet;
-use super::section::{Frame, Profile};
-use super::track::{SPACING, Sight, Station, Track, section_from_rings, update_tangents};
-use super::wall_fit::judge;
+use crate::centerline::cut_plane::section::{Frame, Profile};
+use crate::centerline::cut_plane::wall_fit::judge;
+use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
+use crate::centerline::segmentation::level_sets::LevelSet;
+use crate::centerline::segmentation::track::{
+    SPACING, Sight, Station, Track, section_from_rings, update_tangents,
+};
 
 /// How far back (radii) the bend of a branch is measured.
 const BEND_REACH: f64 = 3.0;

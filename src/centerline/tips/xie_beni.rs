@@ -1,7 +1,7 @@
 //! The validity index of Xie and Beni for fuzzy clusterings (the paper's ref. 31), which says how many of
 //! the tips make good first cluster centres (IV.A).
 
-use super::segmentation::{DistanceField, power};
+use crate::centerline::segmentation::{DistanceField, power};
 
 /// `S = sum_j sum_i u_ij² d(i, j)² / (n min d(c_j, c_k)²)` for the first `k` centres, for each `k` from 2 up.
 ///

@@ -8,11 +8,13 @@ use nalgebra::{Matrix3, Point2, Point3};
 
 use crate::mesh::preparation::Surface;
 
-use super::curve_fit::{CurveEnd, Stiffness, fit_curve};
-use super::level_sets::LevelSet;
-use super::section::{Frame, Profile, Section};
-use super::track::{SPACING, Sight, Station, Track, section_from_rings, update_tangents};
-use super::wall_fit::{accept_clean, judge, judge_end};
+use crate::centerline::cut_plane::section::{Frame, Profile, Section};
+use crate::centerline::cut_plane::wall_fit::{accept_clean, judge, judge_end};
+use crate::centerline::laplacian_smoothing::curve_fit::{CurveEnd, Stiffness, fit_curve};
+use crate::centerline::segmentation::level_sets::LevelSet;
+use crate::centerline::segmentation::track::{
+    SPACING, Sight, Station, Track, section_from_rings, update_tangents,
+};
 
 /// Rounds of cutting and moving before sections are judged.
 const SETTLING: usize = 3;

@@ -4,11 +4,11 @@ use nalgebra::{Matrix3, Point3, Unit, Vector3};
 
 use crate::mesh::preparation::Surface;
 
-use super::level_sets::{LevelSet, level_set};
-use super::reeb::ReebGraph;
-use super::section::{Frame, Profile, Section, section};
-use super::tips::Chain;
-use super::wall_shape::WallShape;
+use crate::centerline::cut_plane::section::{Frame, Profile, Section, section};
+use crate::centerline::cut_plane::wall_shape::WallShape;
+use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
+use crate::centerline::tips::Chain;
+use crate::centerline::tips::reeb::ReebGraph;
 
 /// Distance between rings and between stations, in local radii.
 pub const SPACING: f64 = 0.4;

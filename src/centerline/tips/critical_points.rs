@@ -8,9 +8,9 @@ use std::f64::consts::TAU;
 
 use nalgebra::Point3;
 
-use super::ExtractError;
-use super::control::CancelToken;
-use super::geodesic::{EdgeGraph, Geodesic, geodesic};
+use crate::centerline::ExtractError;
+use crate::centerline::control::CancelToken;
+use crate::centerline::tips::geodesic::{EdgeGraph, Geodesic, geodesic};
 
 /// A tip of a branch.
 #[derive(Debug, Clone, Copy, PartialEq)]

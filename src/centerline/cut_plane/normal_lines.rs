@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use super::covariance::PrincipalAxes;
+use crate::centerline::thinning::covariance::PrincipalAxes;
 
 /// Share of the largest possible eigenvalue below which the lines are taken as parallel:
 /// their directions then lie within about 2.5 degrees of each other.

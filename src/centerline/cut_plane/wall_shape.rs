@@ -8,7 +8,7 @@ use nalgebra::{Point2, SMatrix, SVector};
 
 use crate::mesh::preparation::Surface;
 
-use super::section::Section;
+use crate::centerline::cut_plane::section::Section;
 
 /// Terms of the fit: mean, cos, sin, cos 2, sin 2, slope.
 const TERMS: usize = 6;

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Matrix4, Point3, Unit, Vector3, Vector4};
 
 use crate::mesh::preparation::Surface;
 
-use super::track::{Sight, Station, Track};
+use crate::centerline::segmentation::track::{Sight, Station, Track};
 
 /// A branch whose clean sections reach less far than this (radii) is a bulge.
 const SHORT: f64 = 1.5;

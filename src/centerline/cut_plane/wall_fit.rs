@@ -8,9 +8,9 @@ use nalgebra::{Matrix2, Matrix3, Point2, Vector2};
 
 use crate::mesh::preparation::Surface;
 
-use super::section::{Profile, Section, signed_angle};
-use super::track::{Sight, Station};
-use super::wall_shape::WallShape;
+use crate::centerline::cut_plane::section::{Profile, Section, signed_angle};
+use crate::centerline::cut_plane::wall_shape::WallShape;
+use crate::centerline::segmentation::track::{Sight, Station};
 
 /// The wall leaves the expected profile beyond this share of the radius.
 const GATE: f64 = 0.25;

@@ -1,11 +1,14 @@
 //! Fuzzy K-means segmentation of the surface into branches on geodesic distance (IV.A, eqs. 1-3).
 
+pub mod level_sets;
+pub mod track;
+
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
-use super::control::{Control, Stage};
-use super::geodesic::{EdgeGraph, geodesic};
-use super::{CancelToken, ExtractError};
+use crate::centerline::control::{Control, Stage};
+use crate::centerline::tips::geodesic::{EdgeGraph, geodesic};
+use crate::centerline::{CancelToken, ExtractError};
 
 /// Geodesic distance of every vertex from one centre, in the input's unit.
 pub type DistanceField = Vec<f32>;
@@ -28,7 +31,7 @@ pub struct Segmentation {
 
 /// `base^exponent`, without the cost of a general power for the printed `m = 2`.
 #[inline]
-pub(super) fn power(base: f64, exponent: f64) -> f64 {
+pub(in crate::centerline) fn power(base: f64, exponent: f64) -> f64 {
     if exponent == -2.0 { 1.0 / (base * base) } else { base.powf(exponent) }
 }
 
