@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use futures::{TryStreamExt, stream};
 use jobs_fakes::{ended, running, settings};
-use rosaline::centerline::{Parameters, Preset};
+use rosaline::centerline::{CancelToken, Control, Parameters, Preset, Progress, Stage, extract};
 use rosaline::jobs::extraction::Extraction;
 use rosaline::jobs::{FileName, FormatHint, Job, JobId, JobService, JobSpec, JobStatus, Settings};
 use rosaline::mesh::Units;
@@ -143,4 +143,31 @@ async fn a_dismissed_extraction_frees_its_worker_soon() {
     println!("bigtree takes {whole:?}; dismissed to next job done, slowest of 9: {slowest:?}");
     assert!(slowest < Duration::from_secs(1), "{slowest:?}");
     service.shutdown(Duration::from_secs(5)).await;
+}
+
+/// Three tubes, of which each goes through the stages after the one before.
+#[test]
+fn components_share_the_progress_by_their_vertices() {
+    let tube = phantom::generate(Kind::Tube, 1, &phantom::Settings::of(Kind::Tube)).unwrap().mesh;
+    let mut mesh = tube.clone();
+    for copy in 1..3_u32 {
+        let first = u32::try_from(mesh.vertices.len()).unwrap();
+        let aside = 1000.0 * f64::from(copy);
+        mesh.vertices.extend(tube.vertices.iter().map(|p| nalgebra::Point3::new(p.x + aside, p.y, p.z)));
+        mesh.triangles.extend(tube.triangles.iter().map(|corners| corners.map(|corner| corner + first)));
+    }
+    let ends = std::sync::Mutex::new(Vec::new());
+    let progress = |Progress { stage, part, .. }: Progress| {
+        let mut ends = ends.lock().unwrap();
+        let end = if stage == Stage::Preparation { 0.0 } else { part.overall(1.0) };
+        if ends.last() != Some(&end) {
+            ends.push(end);
+        }
+    };
+    let control = Control::new(CancelToken::new(), &progress);
+    let found = extract(&mesh, &Parameters::default(), &control).unwrap();
+    assert_eq!(found.centerline.branches.len(), 3);
+    let ends = ends.into_inner().unwrap();
+    let expected = [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0];
+    assert!(ends.len() == 4 && ends.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{ends:?}");
 }

@@ -58,6 +58,25 @@ impl Stage {
     }
 }
 
+/// The share of the surface, by vertices, that goes through the stages after preparation now.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Part {
+    /// What went through them before, 0 to 1.
+    pub before: f64,
+    /// What is at work, 0 to 1.
+    pub share: f64,
+}
+
+impl Part {
+    /// The whole surface at once.
+    pub const WHOLE: Part = Part { before: 0.0, share: 1.0 };
+
+    /// How much of the whole is done when `within` of this part is; all of them 0 to 1.
+    pub fn overall(self, within: f64) -> f64 {
+        self.before + self.share * within
+    }
+}
+
 /// What a running extraction tells its caller.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Progress {
@@ -65,6 +84,8 @@ pub struct Progress {
     pub stage: Stage,
     /// How much of that stage is done, 0 to 1.
     pub fraction: f64,
+    /// What of the surface the stage is at work on: one component after another goes through the stages.
+    pub part: Part,
 }
 
 /// A flag that stops an extraction; clones share it.
@@ -95,23 +116,29 @@ impl CancelToken {
 pub struct Control<'a> {
     pub cancel: CancelToken,
     progress: Option<&'a (dyn Fn(Progress) + Sync)>,
+    part: Part,
 }
 
 impl<'a> Control<'a> {
     /// Reports progress to `progress`, possibly from several threads.
     pub fn new(cancel: CancelToken, progress: &'a (dyn Fn(Progress) + Sync)) -> Self {
-        Self { cancel, progress: Some(progress) }
+        Self { cancel, progress: Some(progress), part: Part::WHOLE }
     }
 
     /// No progress and no way to cancel: for tests and small tools.
     pub fn silent() -> Control<'static> {
-        Control { cancel: CancelToken::new(), progress: None }
+        Control { cancel: CancelToken::new(), progress: None, part: Part::WHOLE }
+    }
+
+    /// The same caller, told of the progress of `part` alone.
+    pub(super) fn of_part(&self, part: Part) -> Control<'a> {
+        Control { cancel: self.cancel.clone(), progress: self.progress, part }
     }
 
     /// Reports `fraction` of `stage` and fails once cancelled.
     pub fn report(&self, stage: Stage, fraction: f64) -> Result<(), ExtractError> {
         if let Some(progress) = self.progress {
-            progress(Progress { stage, fraction });
+            progress(Progress { stage, fraction, part: self.part });
         }
         self.cancel.check()
     }

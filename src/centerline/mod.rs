@@ -23,7 +23,7 @@ mod test_surfaces;
 mod thinning;
 mod tips;
 
-pub use control::{CancelToken, Control, Progress, Stage};
+pub use control::{CancelToken, Control, Part, Progress, Stage};
 pub use error::ExtractError;
 pub use graph::{Branch, Centerline, Extraction, Node, NodeKind, SurfaceSummary, Warning};
 pub use parameters::{ParameterError, ParameterKind, ParameterSpec, Parameters, Preset, TABLE};
@@ -54,11 +54,13 @@ pub fn extract(
     let diagonal = prepared.report.diagonal;
     let mut refusal = None;
     let mut specks = 0;
-    for (index, surface) in prepared.components.iter_mut().enumerate() {
-        if surface.diagonal() < SPECK * diagonal {
+    let parts = parts(&prepared.components, diagonal);
+    for (index, (surface, part)) in prepared.components.iter_mut().zip(parts).enumerate() {
+        let Some(part) = part else {
             specks += 1;
             continue;
-        }
+        };
+        let control = &control.of_part(part);
         if parameters.smoothing() {
             // The cuts stay where they are.
             let openings = surface.openings.iter();
@@ -87,6 +89,20 @@ pub fn extract(
         Some(error) if extraction.centerline.branches.is_empty() => Err(error),
         _ => Ok(extraction),
     }
+}
+
+/// The part of the work that each component is, by its vertices; `None` for specks.
+fn parts(components: &[Surface], diagonal: f64) -> Vec<Option<Part>> {
+    let is_speck = |surface: &Surface| surface.diagonal() < SPECK * diagonal;
+    let vertices = |surface: &Surface| surface.mesh.vertices.len() as f64;
+    let total: f64 = components.iter().filter(|surface| !is_speck(surface)).map(vertices).sum();
+    let mut before = 0.0;
+    let mut part = |surface: &Surface| {
+        let part = Part { before, share: vertices(surface) / total };
+        before += part.share;
+        part
+    };
+    components.iter().map(|surface| (!is_speck(surface)).then(|| part(surface))).collect()
 }
 
 fn summary(prepared: &Prepared) -> SurfaceSummary {

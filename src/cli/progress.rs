@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::centerline::{Progress, Stage};
+use crate::centerline::{Part, Progress, Stage};
 
 /// Steps of the bar in one stage.
 const STEPS: f64 = 100.0;
@@ -43,7 +43,7 @@ impl Watch {
     pub fn report(&self, progress: Progress) {
         let place = index(progress.stage);
         let fraction = progress.fraction.clamp(0.0, 1.0);
-        let position = (STEPS * (place as f64 + fraction)) as u64;
+        let position = position(place, fraction, progress.part);
         // Reports of one stage may arrive out of order; the bar never goes back.
         if position > self.bar.position() {
             self.bar.set_position(position);
@@ -76,6 +76,16 @@ impl Clock {
     }
 }
 
+/// Steps of the bar: those of the stages after preparation are shared out over the components.
+fn position(place: usize, fraction: f64, part: Part) -> u64 {
+    let (all, first) = (Stage::ALL.len() as f64, 1.0);
+    let mut done = place as f64 + fraction;
+    if done >= first {
+        done = first + (all - first) * part.overall((done - first) / (all - first));
+    }
+    (STEPS * done) as u64
+}
+
 fn index(stage: Stage) -> usize {
     Stage::ALL.iter().position(|&other| other == stage).unwrap_or_default()
 }
@@ -98,7 +108,7 @@ mod tests {
     #[test]
     fn each_stage_gets_the_time_until_the_next_one_reports() {
         let watch = Watch::start();
-        let report = |stage, fraction| watch.report(Progress { stage, fraction });
+        let report = |stage, fraction| watch.report(Progress { stage, fraction, part: Part::WHOLE });
         report(Stage::Preparation, 0.0);
         std::thread::sleep(Duration::from_millis(20));
         report(Stage::Preparation, 1.0);
@@ -111,6 +121,17 @@ mod tests {
         assert!(of("preparation") >= Duration::from_millis(20));
         assert!(of("cut_planes") >= Duration::from_millis(10));
         assert_eq!(of("segmentation"), Duration::ZERO);
+    }
+
+    #[test]
+    fn the_bar_goes_on_over_the_components() {
+        let half = |before| Part { before, share: 0.5 };
+        let last = Stage::ALL.len() - 1;
+        assert_eq!(position(0, 1.0, Part::WHOLE), 100);
+        assert_eq!(position(1, 0.0, half(0.0)), 100);
+        assert_eq!(position(last, 1.0, half(0.0)), 500);
+        assert_eq!(position(1, 0.0, half(0.5)), 500);
+        assert_eq!(position(last, 1.0, half(0.5)), 900);
     }
 
     #[test]

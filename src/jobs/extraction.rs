@@ -27,8 +27,9 @@ impl JobRunner for Extraction {
         let (mesh, format) =
             read(&bytes, hint(&spec.hint), &self.limits).map_err(|error| unreadable(&error))?;
         drop(bytes);
-        let progress =
-            |Progress { stage, fraction }: Progress| control.report(JobStage::Method(stage), fraction);
+        let progress = |Progress { stage, fraction, part }: Progress| {
+            control.report_part(JobStage::Method(stage), fraction, part);
+        };
         let inside = Control::new(control.cancel().clone(), &progress);
         let extraction = extract(&mesh, &parameters, &inside).map_err(|error| impossible(&error))?;
         drop(mesh);

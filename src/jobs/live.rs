@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
 use super::JobId;
-use crate::centerline::{CancelToken, Stage};
+use crate::centerline::{CancelToken, Part, Stage};
 
 /// The stages of a job: the method's, between reading the mesh and writing the results.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -51,27 +51,32 @@ impl JobStage {
 /// Where an active job is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Snapshot {
-    /// 0 while the job waits, then 1 + stage index × 128 + percent: grows as the job goes on.
+    /// 0 while the job waits, then 1 + hundredths of a percent × 16 + stage index: grows as the job goes on,
+    /// also when the next component of the surface begins at an earlier stage.
     packed: u32,
     /// The job has ended; the store says how.
     pub(super) ended: bool,
 }
 
 impl Snapshot {
-    fn at(stage: JobStage, fraction: f64) -> Self {
+    fn at(stage: JobStage, fraction: f64, part: Part) -> Self {
         let index = stage.index();
         let start = if index == 0 { 0 } else { ENDS[index - 1].1 };
-        let share = f64::from(ENDS[index].1 - start) * fraction.clamp(0.0, 1.0);
+        let mut percent = f64::from(start) + f64::from(ENDS[index].1 - start) * fraction.clamp(0.0, 1.0);
+        let first = f64::from(ENDS[JobStage::Method(Stage::Preparation).index()].1);
+        let last = f64::from(ENDS[JobStage::Method(Stage::Connection).index()].1);
+        if (first..=last).contains(&percent) {
+            percent = first + (last - first) * part.overall((percent - first) / (last - first));
+        }
         // In range: the table's percents are below 100; NaN becomes 0.
-        let percent = u32::from(start) + share as u32;
-        Self { packed: 1 + (index as u32) * 128 + percent, ended: false }
+        Self { packed: 1 + (percent * 100.0) as u32 * 16 + index as u32, ended: false }
     }
 
     /// Stage and percent; `None` while the job waits.
     pub(super) fn progress(self) -> Option<(JobStage, u8)> {
         let code = self.packed.checked_sub(1)?;
-        let (stage, _) = ENDS.get((code / 128) as usize)?;
-        Some((*stage, (code % 128) as u8))
+        let (stage, _) = ENDS.get((code % 16) as usize)?;
+        Some((*stage, (code / 1600) as u8))
     }
 }
 
@@ -92,9 +97,14 @@ impl Entry {
         }
     }
 
-    /// Reports progress; reports that would go back are dropped. Any thread may call it, often.
+    /// Reports progress of the whole surface.
     pub(super) fn report(&self, stage: JobStage, fraction: f64) {
-        let next = Snapshot::at(stage, fraction);
+        self.report_part(stage, fraction, Part::WHOLE);
+    }
+
+    /// Reports progress; reports that would go back are dropped. Any thread may call it, often.
+    pub(super) fn report_part(&self, stage: JobStage, fraction: f64, part: Part) {
+        let next = Snapshot::at(stage, fraction, part);
         if self.packed.fetch_max(next.packed, Ordering::Relaxed) < next.packed {
             self.changes.send_if_modified(|current| {
                 let newer = current.packed < next.packed && !current.ended;
@@ -201,10 +211,29 @@ mod tests {
     }
 
     #[test]
+    fn every_component_brings_progress_further() {
+        let entry = Entry::new();
+        let changes = entry.subscribe();
+        entry.report(JobStage::Method(Stage::Preparation), 1.0);
+        let (mut seen, mut last) = (Vec::new(), 0);
+        for (before, share) in [(0.0, 0.5), (0.5, 0.25), (0.75, 0.25)] {
+            for stage in [Stage::Tips, Stage::Recentering, Stage::Connection] {
+                entry.report_part(JobStage::Method(stage), 1.0, Part { before, share });
+                let (now, percent) = changes.borrow().progress().unwrap();
+                assert_eq!(now, JobStage::Method(stage), "the stage at work is shown");
+                assert!(percent > last || stage == Stage::Connection, "{percent} after {last}");
+                last = percent;
+            }
+            seen.push(last);
+        }
+        assert_eq!(seen, [60, 79, 98], "22 after preparation, 98 at the end of the last component");
+    }
+
+    #[test]
     fn every_stage_has_its_place() {
         let mut last = 0;
         for stage in Stage::ALL {
-            let entry = Snapshot::at(JobStage::Method(stage), 0.0);
+            let entry = Snapshot::at(JobStage::Method(stage), 0.0, Part::WHOLE);
             assert_eq!(entry.progress().unwrap().0, JobStage::Method(stage));
             assert!(entry.packed > last);
             last = entry.packed;

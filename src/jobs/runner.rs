@@ -6,7 +6,7 @@ use bytes::Bytes;
 
 use super::live::Entry;
 use super::{JobFailure, JobSpec, JobStage, StoredInput};
-use crate::centerline::CancelToken;
+use crate::centerline::{CancelToken, Part};
 use crate::output::OutputFormat;
 
 /// One run's input.
@@ -37,6 +37,11 @@ impl RunControl {
     /// Reports that `fraction` (0 to 1) of `stage` is done. Cheap; any thread may call it.
     pub fn report(&self, stage: JobStage, fraction: f64) {
         self.entry.report(stage, fraction);
+    }
+
+    /// [`RunControl::report`] of a part of the surface: its components go through the stages one by one.
+    pub fn report_part(&self, stage: JobStage, fraction: f64, part: Part) {
+        self.entry.report_part(stage, fraction, part);
     }
 
     /// Set when the run should stop within 100 ms; what the run then answers is dropped.
