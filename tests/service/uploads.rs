@@ -5,7 +5,7 @@ use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use futures::stream;
+use futures::{StreamExt, stream};
 use reqwest::Body;
 use reqwest::multipart::{Form, Part};
 
@@ -33,6 +33,36 @@ async fn a_gigabyte_declared_is_refused_before_it_is_sent() {
         assert_eq!(status_line(&service, &request), "HTTP/1.1 413 Payload Too Large");
     }
     assert!(begin.elapsed() < Duration::from_secs(10));
+    service.assert_alive().await;
+}
+
+#[tokio::test]
+async fn a_picture_is_refused_from_its_first_bytes() {
+    let service = Service::start(&[]);
+    let png: Vec<u8> =
+        b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR".iter().copied().chain(std::iter::repeat_n(7, 40 << 20)).collect();
+    // Most of the body never comes, and the answer does.
+    let mut stream = TcpStream::connect(service.address()).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+    stream.write_all(format!("{HEAD}Content-Length: {}\r\n\r\n", 1 << 30).as_bytes()).unwrap();
+    stream.write_all(&png[..4096]).unwrap();
+    let mut answer = [0; 32];
+    stream.read_exact(&mut answer).unwrap();
+    assert!(answer.starts_with(b"HTTP/1.1 415 "), "{}", String::from_utf8_lossy(&answer));
+    service.assert_no_files().await;
+    // A client that sends on sees the answer too, and not a reset connection.
+    for _ in 0..5 {
+        let response = service.submit("", png.clone()).await;
+        problem(response, 415, "unsupported-format").await;
+        let form = Form::new().part("mesh", Part::bytes(png.clone()));
+        let response = service.post("/v1/jobs").multipart(form).send().await.unwrap();
+        problem(response, 415, "unsupported-format").await;
+    }
+    service.assert_no_files().await;
+    // What comes byte by byte is known as well.
+    let slow =
+        stream::iter(png[..2000].to_vec()).map(|byte| Ok::<_, std::io::Error>(Bytes::from(vec![byte])));
+    problem(service.submit("", Body::wrap_stream(slow)).await, 415, "unsupported-format").await;
     service.assert_alive().await;
 }
 

@@ -4,21 +4,49 @@ use std::io;
 use std::time::Duration;
 
 use axum::body::Body;
-use bytes::Bytes;
+use bytes::{Bytes, BytesMut};
 use futures::{Stream, StreamExt, stream};
 
 use super::super::App;
 use super::super::problem::{Problem, UPLOAD_INCOMPLETE, UPLOAD_TIMEOUT};
+use super::super::validation;
 use super::too_large;
 use crate::jobs::blob::BlobError;
 use crate::jobs::{JobError, Upload};
+use crate::mesh::format::{TELLING, plainly_foreign};
 
 /// Streams a raw body to disk.
 pub(super) async fn store(app: &App, body: Body) -> Result<Upload, Problem> {
-    let bytes = body.into_data_stream().map(|item| item.map_err(io::Error::other));
+    keep(app, body.into_data_stream().map(|item| item.map_err(io::Error::other))).await
+}
+
+/// Streams a mesh's bytes to disk, once they begin like one.
+pub(super) async fn keep<S>(app: &App, bytes: S) -> Result<Upload, Problem>
+where
+    S: Stream<Item = io::Result<Bytes>> + Send + Unpin,
+{
     let limits = app.limits();
-    let stored = app.jobs().upload(unless_idle(bytes, limits.upload_idle), limits.upload_bytes).await;
-    stored.map_err(|error| refusal(app, error))
+    // Fused: a short body ends while its beginning is read.
+    let mut bytes = Box::pin(unless_idle(bytes, limits.upload_idle).fuse());
+    let begin = beginning(&mut bytes).await.map_err(|error| refusal(app, BlobError::Upload(error).into()))?;
+    if let Some(error) = plainly_foreign(&begin) {
+        return Err(validation::refusal(&error));
+    }
+    let whole = stream::iter([Ok(begin)]).chain(bytes);
+    app.jobs().upload(whole, limits.upload_bytes).await.map_err(|error| refusal(app, error))
+}
+
+/// The first chunks, as many as tell what the file is.
+async fn beginning<S>(bytes: &mut S) -> io::Result<Bytes>
+where
+    S: Stream<Item = io::Result<Bytes>> + Unpin,
+{
+    let mut begin = BytesMut::new();
+    while begin.len() < TELLING {
+        let Some(chunk) = bytes.next().await else { break };
+        begin.extend_from_slice(&chunk?);
+    }
+    Ok(begin.freeze())
 }
 
 /// An upload's failure as the client sees it.

@@ -95,9 +95,7 @@ async fn store(app: &App, field: Field<'_>) -> Result<Mesh, Problem> {
     let name = source_name(file_name, app.limits()).ok().flatten();
     let hint = FormatHint { extension, content_type: field.content_type().map(str::to_owned) };
     let bytes = field.map(|chunk| chunk.map_err(io::Error::other)).boxed();
-    let stored =
-        app.jobs().upload(body::unless_idle(bytes, app.limits().upload_idle), app.limits().upload_bytes);
-    let upload = stored.await.map_err(|error| body::refusal(app, error))?;
+    let upload = body::keep(app, bytes).await?;
     Ok(Mesh { upload, hint, name })
 }
 

@@ -41,6 +41,7 @@ mod vtp_data;
 use std::fmt;
 
 pub use error::{ReadError, ReadErrorKind};
+pub use sniff::{TELLING, plainly_foreign};
 pub use stl::write_stl_binary;
 
 use super::TriangleMesh;

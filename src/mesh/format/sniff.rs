@@ -5,6 +5,9 @@ use super::{Format, Hint, ReadError, off, stl};
 /// How far to look for the first telling words of a text file.
 const LOOK: usize = 64 * 1024;
 
+/// The bytes that [`plainly_foreign`] looks at: a NIfTI image says what it is at byte 344.
+pub const TELLING: usize = 512;
+
 /// First words of an OBJ line; a comment is none, for other formats have those too.
 const OBJ_WORDS: [&str; 14] =
     ["v", "vn", "vt", "vp", "f", "l", "p", "g", "o", "s", "mtllib", "usemtl", "mg", "cstype"];
@@ -30,6 +33,18 @@ pub(super) fn sniff(bytes: &[u8], hint: Hint<'_>) -> Result<Format, ReadError> {
     by_hint(bytes, hint).ok_or_else(|| ReadError::Unsupported {
         found: if is_text(bytes) { "text of no known kind" } else { "data of no known kind" },
     })
+}
+
+/// What a file that begins with `begin` is, when that is plainly no mesh, whatever follows.
+///
+/// `begin` has [`TELLING`] bytes, or is the whole file. A binary STL may begin with any text, so what goes on
+/// like one is left to [`sniff`], as is XML, whose first words may be far behind.
+pub fn plainly_foreign(begin: &[u8]) -> Option<ReadError> {
+    let is_stl = stl::declared_facets(begin).is_some_and(|facets| facets > 0) && begins_like_facets(begin);
+    if is_stl || skip_space(begin).starts_with(b"<") || by_signature(begin).is_some() {
+        return None;
+    }
+    foreign(begin).map(|found| ReadError::Unsupported { found })
 }
 
 /// Formats that say what they are, or whose size does.
@@ -256,5 +271,42 @@ mod tests {
             assert!(text.contains(found), "{text}");
         }
         assert_eq!(sniff(b"", hint("stl", "")), Err(ReadError::Empty));
+    }
+
+    #[test]
+    fn what_is_plainly_no_mesh_is_known_by_its_beginning() {
+        let dicom = [&[0; 128][..], b"DICM", &[0; 400]].concat();
+        let nifti = [&[92, 1, 0, 0][..], &[0; 340], b"n+1\0", &[0; 200]].concat();
+        for bytes in [
+            &b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"[..],
+            b"%PDF-1.7\n",
+            b"PK\x03\x04",
+            b"\x1f\x8b\x08",
+            &dicom,
+            &nifti,
+        ] {
+            let long: Vec<u8> = bytes.iter().copied().chain([7; TELLING]).take(TELLING).collect();
+            assert!(matches!(plainly_foreign(&long), Some(ReadError::Unsupported { .. })), "{bytes:?}");
+        }
+        let mut stl = b"PK\x03\x04 is how the name in this header begins".to_vec();
+        stl.resize(80, b' ');
+        stl.extend([9, 0, 0, 0]);
+        stl.extend([0.0_f32, 0.0, 1.0].iter().chain(&[0.5; 9]).flat_map(|number| number.to_le_bytes()));
+        stl.resize(TELLING, 0);
+        for bytes in [
+            &stl[..],
+            b"",
+            b"solid",
+            b"v 0 0 0\n",
+            b"# a comment\n",
+            b"<?xml version=\"1.0\"?>",
+            b"{\"asset\":",
+            b"glTF\x02\0\0\0",
+            b"8 6 12\n0 0 0\n",
+            b"Dear colleague,\n",
+            b"\x01\x02\x03",
+        ] {
+            assert_eq!(plainly_foreign(bytes), None, "{bytes:?}");
+        }
     }
 }
