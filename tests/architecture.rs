@@ -18,10 +18,11 @@ const MAY_KNOW: [(&str, &[&str]); 8] = [
 ];
 
 /// Crates (and parts of std) with the only rooms that may name them.
-const ONLY_IN: [(&str, &[&str]); 18] = [
+const ONLY_IN: [(&str, &[&str]); 19] = [
     ("axum", &["http"]),
     ("tower", &["http"]),
     ("tower_http", &["http"]),
+    ("hyper_util", &["http"]),
     ("utoipa_axum", &["http"]),
     ("utoipa", &["http", "output"]),
     ("sqlx", &["jobs"]),

@@ -38,7 +38,12 @@ async fn serve(args: Args) -> Result<(), Failure> {
         ))
     })?;
     let address = listener.local_addr()?;
-    let limits = Limits { upload_bytes: args.max_upload.0, ..Limits::default() };
+    let limits = Limits {
+        upload_bytes: args.max_upload.0,
+        upload_idle: args.upload_idle.0,
+        head: args.head_timeout.0,
+        ..Limits::default()
+    };
     let jobs = JobService::open(settings(&args), Arc::new(Extraction::new(limits.mesh))).await?;
     let app = App::new(jobs, limits)?;
     // For people and for scripts that asked for port 0; a closed stdout leaves nobody to tell.

@@ -4,6 +4,9 @@ use std::time::Duration;
 
 use crate::mesh::format;
 
+/// Bytes of an upload that must come within its idle time: a byte now and then does not keep it alive.
+pub const UPLOAD_STEP: usize = 16 << 10;
+
 /// What one request may use, and for how long.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
@@ -11,8 +14,10 @@ pub struct Limits {
     pub upload_bytes: u64,
     /// Bytes of the `parameters` part of a multipart upload.
     pub parameters_bytes: usize,
-    /// An upload that sends nothing for this long is given up.
+    /// An upload of which less than [`UPLOAD_STEP`] (or the rest) comes in this long is given up.
     pub upload_idle: Duration,
+    /// A connection whose next request's head is not whole after this long is closed.
+    pub head: Duration,
     /// Meshes that are checked at the same time; further uploads wait their turn.
     pub validations: usize,
     /// The largest mesh that is read.
@@ -33,6 +38,7 @@ impl Default for Limits {
             upload_bytes: 1 << 30,
             parameters_bytes: 64 << 10,
             upload_idle: Duration::from_secs(30),
+            head: Duration::from_secs(30),
             validations: 2,
             mesh: format::Limits::default(),
             wait: Duration::from_secs(60),

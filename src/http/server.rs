@@ -1,13 +1,12 @@
 //! Serves until told to stop, then stops in order.
 
-use std::future::{Future, IntoFuture};
+use std::future::Future;
 use std::io;
 use std::time::{Duration, Instant};
 
-use axum::serve::ListenerExt;
 use tokio::net::TcpListener;
 
-use super::{App, router};
+use super::{App, connections, router};
 
 /// How long open connections may take to end after the signal to stop, within the grace time.
 const CONNECTIONS_END: Duration = Duration::from_secs(10);
@@ -21,17 +20,11 @@ pub async fn serve(
     grace: Duration,
 ) -> io::Result<()> {
     let closing = app.closing().clone();
-    let listener = listener.tap_io(|connection| {
-        // Small answers should not wait for more; a socket that cannot be set works all the same.
-        let _ = connection.set_nodelay(true);
-    });
-    let server = axum::serve(listener, router::router(app.clone()))
-        .with_graceful_shutdown(closing.clone().cancelled_owned())
-        .into_future();
-    let mut server = tokio::spawn(server);
+    let router = router::router(app.clone());
+    let mut server = tokio::spawn(connections::serve(listener, router, app.limits().head, closing.clone()));
     tokio::select! {
         () = stop => {}
-        ended = &mut server => return ended.map_err(io::Error::other)?,
+        ended = &mut server => return ended.map_err(io::Error::other),
     }
     let begin = Instant::now();
     app.jobs().drain();

@@ -16,5 +16,6 @@ mod restarts;
 mod results;
 mod setup;
 mod shared_meshes;
+mod stalls;
 mod submission;
 mod uploads;

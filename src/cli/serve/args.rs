@@ -22,6 +22,12 @@ pub struct Args {
     /// Largest mesh, in bytes or with KiB, MiB or GiB.
     #[arg(long, env = "ROSALINE_MAX_UPLOAD", default_value = "1GiB", value_name = "SIZE")]
     pub max_upload: Size,
+    /// How long an upload may stand still, in seconds or with s or m, before it is given up.
+    #[arg(long, env = "ROSALINE_UPLOAD_IDLE", default_value = "30s", value_name = "TIME")]
+    pub upload_idle: Span,
+    /// How long a client may take for the head of a request, or before its next one.
+    #[arg(long, env = "ROSALINE_HEAD_TIMEOUT", default_value = "30s", value_name = "TIME")]
+    pub head_timeout: Span,
     /// How long running jobs may go on after SIGTERM or SIGINT, in seconds or with s or m.
     #[arg(long, env = "ROSALINE_GRACE", default_value = "30s", value_name = "TIME")]
     pub grace: Span,

@@ -6,8 +6,10 @@ use std::time::Duration;
 use axum::body::Body;
 use bytes::{Bytes, BytesMut};
 use futures::{Stream, StreamExt, stream};
+use tokio::time::Instant;
 
 use super::super::App;
+use super::super::limits::UPLOAD_STEP;
 use super::super::problem::{Problem, UPLOAD_INCOMPLETE, UPLOAD_TIMEOUT};
 use super::super::validation;
 use super::too_large;
@@ -55,7 +57,8 @@ pub(super) fn refusal(app: &App, error: JobError) -> Problem {
         JobError::Blob(BlobError::TooLarge { .. }) => too_large(app),
         JobError::Blob(BlobError::Upload(cause)) if cause.kind() == io::ErrorKind::TimedOut => {
             let seconds = app.limits().upload_idle.as_secs();
-            Problem::new(&UPLOAD_TIMEOUT, format!("nothing came in for {seconds} s; send the mesh again"))
+            let detail = format!("less than {UPLOAD_STEP} bytes came in {seconds} s; send the mesh again");
+            Problem::new(&UPLOAD_TIMEOUT, detail)
         }
         JobError::Blob(BlobError::Upload(_)) => {
             Problem::new(&UPLOAD_INCOMPLETE, "the body ended before it was whole; send the mesh again")
@@ -64,7 +67,7 @@ pub(super) fn refusal(app: &App, error: JobError) -> Problem {
     }
 }
 
-/// The stream, ended by `TimedOut` when nothing comes for `idle`.
+/// The stream, ended by `TimedOut` when less than [`UPLOAD_STEP`] comes within `idle`.
 pub(super) fn unless_idle<'a, S>(
     stream: S,
     idle: Duration,
@@ -72,10 +75,17 @@ pub(super) fn unless_idle<'a, S>(
 where
     S: Stream<Item = io::Result<Bytes>> + Send + Unpin + 'a,
 {
-    stream::unfold(Some(stream), move |state| async move {
-        let mut stream = state?;
-        match tokio::time::timeout(idle, stream.next()).await {
-            Ok(Some(item)) => Some((item, Some(stream))),
+    let begin = (stream, Instant::now() + idle, 0);
+    stream::unfold(Some(begin), move |state| async move {
+        let (mut stream, mut end, mut came) = state?;
+        match tokio::time::timeout_at(end, stream.next()).await {
+            Ok(Some(item)) => {
+                came += item.as_ref().map_or(0, Bytes::len);
+                if came >= UPLOAD_STEP {
+                    (end, came) = (Instant::now() + idle, 0);
+                }
+                Some((item, Some((stream, end, came))))
+            }
             Ok(None) => None,
             Err(_) => Some((Err(io::ErrorKind::TimedOut.into()), None)),
         }
@@ -93,5 +103,24 @@ mod tests {
         assert_eq!(items.len(), 2);
         assert_eq!(items[0].as_ref().unwrap(), "a");
         assert_eq!(items[1].as_ref().unwrap_err().kind(), io::ErrorKind::TimedOut);
+    }
+
+    #[tokio::test]
+    async fn drops_do_not_keep_a_stream_alive_and_steady_bytes_do() {
+        let every_30_ms = |bytes: usize| {
+            let chunk = Bytes::from(vec![0; bytes]);
+            let chunks = stream::iter(0..30).then(move |_| {
+                let chunk = chunk.clone();
+                async move {
+                    tokio::time::sleep(Duration::from_millis(30)).await;
+                    Ok(chunk)
+                }
+            });
+            unless_idle(chunks.boxed(), Duration::from_millis(300)).collect::<Vec<_>>()
+        };
+        let drops = every_30_ms(1).await;
+        assert!(drops.len() < 15 && drops.last().unwrap().is_err(), "{}", drops.len());
+        let steady = every_30_ms(UPLOAD_STEP / 2).await;
+        assert!(steady.len() == 30 && steady.iter().all(Result::is_ok));
     }
 }
