@@ -176,7 +176,7 @@ async fn a_purged_job_leaves_neither_row_nor_file() {
 async fn an_upload_that_is_not_submitted_leaves_no_file() {
     let (service, _, dir) = service(1).await;
     let upload = service.upload(stream::iter([Ok(Bytes::from_static(b"ok"))]), 10).await.unwrap();
-    assert_eq!((upload.size(), service.read_upload(&upload).await.unwrap()), (2, Bytes::from_static(b"ok")));
+    assert_eq!((upload.size(), upload.read().await.unwrap()), (2, Bytes::from_static(b"ok")));
     assert!(matches!(service.status(upload.id()).await, Err(JobError::NotFound { .. })));
     drop(upload);
     until(async || files(&dir.path().join("data/blobs")).is_empty().then_some(())).await;

@@ -1,12 +1,16 @@
-//! What is known of active jobs without asking the store: progress, cancellation, and who waits for them.
+//! What is known of active jobs without asking the store: their rows, progress, cancellation, and who waits
+//! for them.
+//!
+//! Clients poll active jobs, many at a time, while the workers take every core: the store's threads and locks
+//! would make those answers slow. What is here is right because no other process changes the store.
 
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use tokio::sync::watch;
 
-use super::JobId;
+use super::{Job, JobId};
 use crate::centerline::{CancelToken, Part, Stage};
 
 /// The stages of a job: the method's, between reading the mesh and writing the results.
@@ -86,6 +90,10 @@ pub(super) struct Entry {
     packed: AtomicU32,
     pub(super) cancel: CancelToken,
     changes: watch::Sender<Snapshot>,
+    /// Of a job that runs here: its row as it was claimed.
+    row: OnceLock<Job>,
+    /// When the row last changed in the store.
+    updated: AtomicI64,
 }
 
 impl Entry {
@@ -94,6 +102,8 @@ impl Entry {
             packed: AtomicU32::new(0),
             cancel: CancelToken::new(),
             changes: watch::Sender::new(Snapshot::default()),
+            row: OnceLock::new(),
+            updated: AtomicI64::new(0),
         }
     }
 
@@ -119,50 +129,106 @@ impl Entry {
     pub(super) fn subscribe(&self) -> watch::Receiver<Snapshot> {
         self.changes.subscribe()
     }
+
+    /// The job runs here with this row, which the store had after the entry was made.
+    pub(super) fn runs(&self, row: &Job) {
+        self.updated.store(row.updated, Ordering::Relaxed);
+        // An entry is of one run, so nothing was there before.
+        let _ = self.row.set(row.clone());
+    }
+
+    /// The store's row was changed.
+    pub(super) fn touched(&self, now: i64) {
+        self.updated.store(now, Ordering::Relaxed);
+    }
+
+    fn row(&self) -> Option<Job> {
+        let row = self.row.get()?;
+        Some(Job { updated: self.updated.load(Ordering::Relaxed), ..row.clone() })
+    }
 }
 
-/// The active jobs that run or are waited for.
+/// Waiting jobs that are remembered; of more than these the store is asked.
+const MOST_WAITING: usize = 10_000;
+
+/// The active jobs of this process.
 #[derive(Default)]
-pub(super) struct Board {
-    entries: Mutex<HashMap<JobId, Arc<Entry>>>,
+pub(super) struct Board(Mutex<Places>);
+
+#[derive(Default)]
+struct Places {
+    /// Jobs that run or are waited for.
+    entries: HashMap<JobId, Arc<Entry>>,
+    /// Rows of jobs that were accepted and not yet claimed.
+    accepted: HashMap<JobId, Job>,
+}
+
+impl Places {
+    fn entry(&mut self, id: JobId) -> Arc<Entry> {
+        self.entries.entry(id).or_insert_with(|| Arc::new(Entry::new())).clone()
+    }
 }
 
 impl Board {
-    fn entries(&self) -> MutexGuard<'_, HashMap<JobId, Arc<Entry>>> {
-        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    fn places(&self) -> MutexGuard<'_, Places> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The job runs from now on.
+    /// The job is about to be committed: called before, so that no claim comes between.
+    pub(super) fn accept(&self, job: &Job) {
+        let mut places = self.places();
+        if places.accepted.len() < MOST_WAITING {
+            places.accepted.insert(job.id, job.clone());
+        }
+    }
+
+    /// The job may not have been committed: the store knows.
+    pub(super) fn forget_accepted(&self, id: JobId) {
+        self.places().accepted.remove(&id);
+    }
+
+    /// The job was claimed and runs from now on.
     pub(super) fn start(&self, id: JobId) -> Arc<Entry> {
-        self.entries().entry(id).or_insert_with(|| Arc::new(Entry::new())).clone()
+        let mut places = self.places();
+        places.accepted.remove(&id);
+        places.entry(id)
     }
 
-    /// The job has ended: wakes who waits for it.
+    /// The job has ended, or is not active here any more: wakes who waits for it.
     pub(super) fn end(&self, id: JobId) {
-        if let Some(entry) = self.entries().remove(&id) {
+        let mut places = self.places();
+        places.accepted.remove(&id);
+        if let Some(entry) = places.entries.remove(&id) {
             entry.changes.send_modify(|current| current.ended = true);
         }
     }
 
     /// Stops the job's run, if it runs here.
     pub(super) fn cancel(&self, id: JobId) {
-        if let Some(entry) = self.entries().get(&id) {
+        if let Some(entry) = self.places().entries.get(&id) {
             entry.cancel.cancel();
         }
     }
 
     /// Stops every run.
     pub(super) fn cancel_all(&self) {
-        self.entries().values().for_each(|entry| entry.cancel.cancel());
+        self.places().entries.values().for_each(|entry| entry.cancel.cancel());
+    }
+
+    /// The row of an active job; `None` where only the store knows.
+    pub(super) fn row(&self, id: JobId) -> Option<Job> {
+        let places = self.places();
+        let running = places.entries.get(&id).and_then(|entry| entry.row());
+        running.or_else(|| places.accepted.get(&id).cloned())
     }
 
     pub(super) fn snapshot(&self, id: JobId) -> Option<Snapshot> {
-        self.entries().get(&id).map(|entry| *entry.changes.borrow())
+        self.places().entries.get(&id).map(|entry| *entry.changes.borrow())
     }
 
     /// Follows the job's changes from now on.
     pub(super) fn watch(self: &Arc<Self>, id: JobId) -> Watch {
-        let entry = self.start(id);
+        let entry = self.places().entry(id);
         Watch { changes: entry.subscribe(), entry: Some(entry), id, board: self.clone() }
     }
 }
@@ -178,10 +244,10 @@ pub(super) struct Watch {
 impl Drop for Watch {
     /// Forgets a job that neither runs nor is waited for by someone else.
     fn drop(&mut self) {
-        let mut entries = self.board.entries();
+        let mut places = self.board.places();
         drop(self.entry.take());
-        if entries.get(&self.id).is_some_and(|entry| Arc::strong_count(entry) == 1) {
-            entries.remove(&self.id);
+        if places.entries.get(&self.id).is_some_and(|entry| Arc::strong_count(entry) == 1) {
+            places.entries.remove(&self.id);
         }
     }
 }
@@ -189,7 +255,7 @@ impl Drop for Watch {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::jobs::{IdSource, ManualClock};
+    use crate::jobs::{IdSource, JobSpec, JobStatus, ManualClock, StoredInput};
 
     fn id() -> JobId {
         IdSource::new(Arc::new(ManualClock::new(1)), None).next()
@@ -238,6 +304,35 @@ mod tests {
             assert!(entry.packed > last);
             last = entry.packed;
         }
+    }
+
+    #[test]
+    fn rows_of_active_jobs_are_known_from_their_acceptance_to_their_end() {
+        let (board, id) = (Arc::new(Board::default()), id());
+        let input = StoredInput { key: "k".into(), size: 1, sha256: "00".into() };
+        let accepted = Job::accepted(id, input, JobSpec::default(), 5);
+        assert_eq!(board.row(id), None);
+        board.accept(&accepted);
+        drop(board.watch(id));
+        assert_eq!(board.row(id), Some(accepted.clone()), "also when somebody has waited for it");
+        let entry = board.start(id);
+        assert_eq!(board.row(id), None, "claimed: the store knows until its worker has read the row");
+        let running = Job { status: JobStatus::Running, updated: 6, ..accepted.clone() };
+        entry.runs(&running);
+        assert_eq!(board.row(id), Some(running.clone()));
+        entry.touched(9);
+        assert_eq!(board.row(id), Some(Job { updated: 9, ..running.clone() }));
+        board.end(id);
+        assert_eq!(board.row(id), None);
+        // A dismissal between the worker's look into the store and its word here.
+        entry.touched(10);
+        let late = board.start(id);
+        board.end(id);
+        late.runs(&running);
+        assert_eq!(board.row(id), None);
+        board.accept(&accepted);
+        board.end(id);
+        assert_eq!(board.row(id), None, "dismissed while it waited");
     }
 
     #[test]

@@ -143,13 +143,6 @@ impl JobService {
         Ok(Upload { id, input: Some(input), shared: self.shared.clone() })
     }
 
-    /// The bytes of an upload, to look into before it is submitted.
-    pub async fn read_upload(&self, upload: &Upload) -> Result<Bytes, JobError> {
-        let id = upload.id;
-        let input = upload.input.as_ref().ok_or(JobError::NotFound { id })?;
-        Ok(self.shared.blobs.read(&input.key).await?)
-    }
-
     /// Accepts a job. When the future is ready the job is durable: it will run, kill -9 or not.
     pub async fn submit(&self, upload: Upload, spec: JobSpec) -> Result<Job, JobError> {
         if self.phase() != Phase::Open {
@@ -161,7 +154,10 @@ impl JobService {
 
     /// The job as it is now, progress included.
     pub async fn status(&self, id: JobId) -> Result<Job, JobError> {
-        let job = self.shared.store.get(id).await?.ok_or(JobError::NotFound { id })?;
+        let job = match self.shared.board.row(id) {
+            Some(job) => job,
+            None => self.shared.store.get(id).await?.ok_or(JobError::NotFound { id })?,
+        };
         Ok(self.with_progress(job))
     }
 
@@ -323,7 +319,9 @@ async fn accept(mut upload: Upload, spec: JobSpec) -> Result<Job, JobError> {
     // An upload holds its input until it is taken here or in `drop`.
     let Some(input) = upload.input.clone() else { return Err(JobError::NotFound { id: upload.id }) };
     let job = Job::accepted(upload.id, input, spec, shared.clock.now_ms());
+    shared.board.accept(&job);
     if let Err(error) = shared.store.insert(&job).await {
+        shared.board.forget_accepted(job.id);
         // The commit may have happened all the same; only then does the file belong to a row.
         match shared.store.get(job.id).await {
             Ok(None) => return Err(error.into()),

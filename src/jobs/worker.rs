@@ -134,6 +134,7 @@ impl Worker {
         tracing::info!(attempt = job.attempts, bytes = job.input.size, "started");
         let entry = self.shared.board.start(job.id);
         if self.holds(&job, lease).await {
+            entry.runs(&job);
             match self.read_input(&job, &entry).await {
                 Some(Ok(bytes)) => {
                     let outcome = self.compute(&job, lease, &entry, bytes).await;
@@ -313,7 +314,7 @@ async fn flush(shared: &Shared, job: &Job, lease: &Lease, entry: &Entry) {
         let Some((stage, percent)) = written.progress() else { continue };
         let time = shared.clock.now_ms();
         match shared.store.progress(job.id, lease, percent, Some(stage.name()), time).await {
-            Ok(true) => {}
+            Ok(true) => entry.touched(time),
             Ok(false) => {
                 entry.cancel.cancel();
                 return tokio::time::sleep(STOP_WITHIN).await;
