@@ -42,6 +42,7 @@ async fn serve(args: Args) -> Result<(), Failure> {
         upload_bytes: args.max_upload.0,
         upload_idle: args.upload_idle.0,
         head: args.head_timeout.0,
+        validations: args.validations.get(),
         ..Limits::default()
     };
     let jobs = JobService::open(settings(&args), Arc::new(Extraction::new(limits.mesh))).await?;

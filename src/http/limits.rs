@@ -18,7 +18,8 @@ pub struct Limits {
     pub upload_idle: Duration,
     /// A connection whose next request's head is not whole after this long is closed.
     pub head: Duration,
-    /// Meshes that are checked at the same time; further uploads wait their turn.
+    /// Meshes that are checked at the same time; further uploads wait their turn on disk. Each takes one copy of
+    /// its file in memory and the mesh that is read from it, so this bounds the memory of any number of uploads.
     pub validations: usize,
     /// The largest mesh that is read.
     pub mesh: format::Limits,

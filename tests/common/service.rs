@@ -67,6 +67,13 @@ impl Service {
         self.data.path().to_owned()
     }
 
+    /// The most memory that it has had, MiB.
+    pub fn peak_memory(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
+        let line = status.lines().find(|line| line.starts_with("VmHWM")).unwrap();
+        line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap() / 1024
+    }
+
     pub fn address(&self) -> &str {
         self.url.trim_start_matches("http://")
     }

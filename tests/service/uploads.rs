@@ -66,6 +66,30 @@ async fn a_picture_is_refused_from_its_first_bytes() {
     service.assert_alive().await;
 }
 
+/// Every upload is read whole to be checked, a few at a time: many take no more memory than a few.
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn uploads_that_come_together_are_checked_one_after_the_other() {
+    let mut mesh = meshes::stl(&meshes::tube(400, 500));
+    // Found at the end, so that no job follows, whose memory would count too.
+    let last = mesh.len() - 10;
+    mesh[last..last + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+    let mesh = Bytes::from(mesh);
+    let mut peaks = Vec::new();
+    for clients in [1, 12] {
+        let service = Service::start(&["--validations", "1"]);
+        let posts = (0..clients).map(|_| service.submit("", mesh.clone()));
+        for response in futures::future::join_all(posts).await {
+            problem(response, 422, "non-finite-coordinate").await;
+        }
+        peaks.push(service.peak_memory());
+    }
+    println!("{} MiB a mesh; peak with 1 and with 12 clients: {peaks:?} MiB", mesh.len() >> 20);
+    let (one, twelve) = (peaks[0], peaks[1]);
+    // All at once would be eleven files and meshes more; what else grows is a client's buffers, some MiB each.
+    assert!(twelve < 3 * one, "{peaks:?}");
+}
+
 /// A body that does not say how long it is.
 fn chunked(mebibytes: usize) -> Body {
     let chunk = Bytes::from(vec![0_u8; 1 << 20]);

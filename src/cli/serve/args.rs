@@ -22,6 +22,9 @@ pub struct Args {
     /// Largest mesh, in bytes or with KiB, MiB or GiB.
     #[arg(long, env = "ROSALINE_MAX_UPLOAD", default_value = "1GiB", value_name = "SIZE")]
     pub max_upload: Size,
+    /// Uploads that are read and checked at the same time; each takes its file's size and its mesh in memory.
+    #[arg(long, env = "ROSALINE_VALIDATIONS", default_value = "2", value_name = "N")]
+    pub validations: NonZeroUsize,
     /// How long an upload may stand still, in seconds or with s or m, before it is given up.
     #[arg(long, env = "ROSALINE_UPLOAD_IDLE", default_value = "30s", value_name = "TIME")]
     pub upload_idle: Span,
