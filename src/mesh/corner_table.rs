@@ -31,8 +31,13 @@ impl CornerTable {
     pub fn new(triangles: &[[u32; 3]], opposite: Vec<u32>, vertices: usize) -> Self {
         let origin: Vec<u32> = triangles.iter().flatten().copied().collect();
         let mut outgoing = vec![NONE; vertices];
-        for (h, &v) in origin.iter().enumerate().rev() {
-            outgoing[v as usize] = h as u32;
+        let target = |h: u32| origin[next(h) as usize];
+        for (h, &v) in origin.iter().enumerate() {
+            let first = &mut outgoing[v as usize];
+            // Toward the lowest neighbour: the order of the triangles decides nothing.
+            if *first == NONE || target(h as u32) < target(*first) {
+                *first = h as u32;
+            }
         }
         Self { origin, opposite, outgoing }
     }

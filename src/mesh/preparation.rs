@@ -179,17 +179,14 @@ fn split_components(
     let mut surfaces = Vec::with_capacity(members.len());
     for triangles in &members {
         let mut mesh = TriangleMesh::default();
+        for v in toward_the_middle(&soup, triangles) {
+            vertex_name[v as usize] = mesh.vertices.len() as u32;
+            mesh.vertices.push(soup.vertices[v as usize]);
+        }
         mesh.triangles.reserve(triangles.len());
         for (i, &t) in triangles.iter().enumerate() {
             triangle_name[t as usize] = i as u32;
-            mesh.triangles.push(soup.triangles[t as usize].map(|v| {
-                let name = &mut vertex_name[v as usize];
-                if *name == NONE {
-                    *name = mesh.vertices.len() as u32;
-                    mesh.vertices.push(soup.vertices[v as usize]);
-                }
-                *name
-            }));
+            mesh.triangles.push(soup.triangles[t as usize].map(|v| vertex_name[v as usize]));
         }
         let mut local: Vec<u32> = Vec::with_capacity(3 * triangles.len());
         for h in triangles.iter().flat_map(|&t| 3 * t..3 * t + 3) {
@@ -210,6 +207,33 @@ fn split_components(
         surfaces[component[triangle as usize] as usize].openings.push(opening);
     }
     surfaces
+}
+
+/// The vertices of some triangles, by descending distance from the middle of their area.
+///
+/// Later stages start at vertex 0 and break ties by number: this order knows neither the file's nor the frame
+/// (but for vertices equally far off, in steps wider than the rounding of a frame far away: those keep the
+/// file's order).
+fn toward_the_middle(soup: &TriangleMesh, triangles: &[u32]) -> Vec<u32> {
+    const STEPS: f64 = 1_048_576.0;
+    let corners = |t: u32| soup.triangles[t as usize].map(|v| soup.vertices[v as usize]);
+    let Some(&first) = triangles.first() else { return Vec::new() };
+    let [base, ..] = corners(first);
+    let (mut moment, mut total) = (Vector3::zeros(), 0.0);
+    for [a, b, c] in triangles.iter().map(|&t| corners(t)) {
+        let twice = (b - a).cross(&(c - a)).norm();
+        moment += ((a - base) + (b - base) + (c - base)) * (twice / 3.0);
+        total += twice;
+    }
+    let middle = if total > 0.0 { base + moment / total } else { base };
+    let mut vertices: Vec<u32> = triangles.iter().flat_map(|&t| soup.triangles[t as usize]).collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    let distance = |v: u32| (soup.vertices[v as usize] - middle).norm();
+    let farthest = vertices.iter().map(|&v| distance(v)).fold(f64::MIN_POSITIVE, f64::max);
+    let steps = |v: u32| (distance(v) / farthest * STEPS).round() as u32;
+    vertices.sort_by_cached_key(|&v| std::cmp::Reverse(steps(v)));
+    vertices
 }
 
 /// Each triangle's component, and each component's triangles in ascending order.

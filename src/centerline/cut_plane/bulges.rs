@@ -6,6 +6,7 @@ use nalgebra::{Matrix3, Matrix4, Point3, Unit, Vector3, Vector4};
 
 use crate::mesh::preparation::Surface;
 
+use crate::centerline::cut_plane::section::Frame;
 use crate::centerline::segmentation::track::{Sight, Station, Track};
 
 /// A branch whose clean sections reach less far than this (radii) is a bulge.
@@ -37,6 +38,7 @@ pub fn round_bulge(surface: &Surface, track: &mut Track, tip_first: bool) {
     let outward = if tip_first { base.centroid - centre } else { centre - base.centroid };
     let Some(tangent) = Unit::try_new(outward, 0.0) else { return };
     let mut station = Station::rough(centre, tangent, radius, track.rings.len() / 2);
+    station.frame = Frame::new(centre, tangent, points[0] - centre);
     station.sight = Sight::Clean;
     station.weight = Matrix3::identity();
     track.stations = vec![station];

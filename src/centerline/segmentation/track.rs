@@ -112,26 +112,30 @@ pub fn rings(surface: &Surface, graph: &ReebGraph, chain: &Chain) -> Vec<LevelSe
 pub fn stations_of(rings: &[LevelSet]) -> Vec<Station> {
     let points: Vec<Point3<f64>> = rings.iter().map(|ring| ring.centroid).collect();
     let tangents = tangents(&points);
-    let rough = |(i, ring): (usize, &LevelSet)| Station::rough(points[i], tangents[i], ring.radius(), i);
+    let rough = |(i, ring): (usize, &LevelSet)| {
+        let station = Station::rough(points[i], tangents[i], ring.radius(), i);
+        // A profile's bins start at the frame's `u`: it must turn with the surface, not stay with the axes.
+        let like = ring.points.first().map_or(station.frame.u, |p| p - points[i]);
+        Station { frame: Frame::new(points[i], tangents[i], like), ..station }
+    };
     rings.iter().enumerate().map(rough).collect()
 }
 
 /// Unit tangents of a polyline by central differences.
 pub fn tangents(points: &[Point3<f64>]) -> Vec<Unit<Vector3<f64>>> {
-    let n = points.len();
-    (0..n)
-        .map(|i| {
-            let d = points[(i + 1).min(n - 1)] - points[i.saturating_sub(1)];
-            Unit::try_new(d, 0.0).unwrap_or_else(Vector3::z_axis)
-        })
-        .collect()
+    (0..points.len()).map(|i| tangent(points, i).unwrap_or_else(Vector3::z_axis)).collect()
 }
 
-/// Recomputes the tangents after the points moved.
+/// `None` where the neighbours are one place.
+fn tangent(points: &[Point3<f64>], i: usize) -> Option<Unit<Vector3<f64>>> {
+    Unit::try_new(points[(i + 1).min(points.len() - 1)] - points[i.saturating_sub(1)], 0.0)
+}
+
+/// Recomputes the tangents after the points moved; a station alone (a sac's) keeps its own.
 pub fn update_tangents(stations: &mut [Station]) {
     let points: Vec<Point3<f64>> = stations.iter().map(|station| station.point).collect();
-    for (station, tangent) in stations.iter_mut().zip(tangents(&points)) {
-        station.tangent = tangent;
+    for (i, station) in stations.iter_mut().enumerate() {
+        station.tangent = tangent(&points, i).unwrap_or(station.tangent);
     }
 }
 

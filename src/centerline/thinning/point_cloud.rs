@@ -4,7 +4,7 @@
 //! thousands of them where a dozen cells say the same. Cells keep counts, sums and second moments, so that
 //! means and covariances over them are exact; only the rim of a neighbourhood is rounded to whole cells.
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 
 use crate::centerline::point_grid::PointGrid;
 use crate::centerline::thinning::covariance::Moments;
@@ -86,7 +86,12 @@ impl PointCloud {
 
 impl Level {
     fn new(points: &[Point3<f64>], size: f64) -> Self {
-        let key = |point: &Point3<f64>| [point.x, point.y, point.z].map(|c| (c / size).floor() as i64);
+        // Cells lie with the points, not with the frame; a share that no even spacing hits keeps points off borders.
+        let base = points[0] - Vector3::repeat(0.381_966 * size);
+        let key = |point: &Point3<f64>| {
+            let offset = (point - base) / size;
+            [offset.x, offset.y, offset.z].map(|c| c.floor() as i64)
+        };
         let mut keyed: Vec<([i64; 3], u32)> =
             points.iter().enumerate().map(|(i, p)| (key(p), i as u32)).collect();
         keyed.sort_unstable();
