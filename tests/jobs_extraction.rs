@@ -65,6 +65,7 @@ async fn a_vessel_becomes_its_centerline_in_every_format_and_the_same_on_any_poo
         name: Some(FileName::new("aorta.stl")),
         units: Units::Centimetres,
         parameters: (&parameters).into(),
+        ..JobSpec::default()
     };
     let one = results(1, &mesh, &spec).await;
     let document = read_json(&one[0]).unwrap();

@@ -5,14 +5,26 @@ use std::time::Duration;
 use axum::http::{HeaderName, Method, header};
 use tower_http::cors::{Any, CorsLayer};
 
+use super::digest::CONTENT_DIGEST;
+use super::idempotency::IDEMPOTENCY_KEY;
+use super::operations::submit::REQUEST_ID;
 use super::prefer::{PREFER, PREFERENCE_APPLIED};
 
 /// How long a browser may keep the answer to a preflight; Chromium caps it at two hours.
 const PREFLIGHT_AGE: Duration = Duration::from_secs(2 * 60 * 60);
 
 /// The request headers that the API reads, beside those that Fetch always allows.
-pub const REQUEST_HEADERS: [HeaderName; 6] =
-    [header::ACCEPT, header::CONTENT_TYPE, header::IF_NONE_MATCH, header::IF_RANGE, header::RANGE, PREFER];
+pub const REQUEST_HEADERS: [HeaderName; 9] = [
+    header::ACCEPT,
+    header::CONTENT_TYPE,
+    header::IF_NONE_MATCH,
+    header::IF_RANGE,
+    header::RANGE,
+    CONTENT_DIGEST,
+    IDEMPOTENCY_KEY,
+    PREFER,
+    REQUEST_ID,
+];
 
 /// The response headers that a script may read, beside those that Fetch always exposes.
 pub const RESPONSE_HEADERS: [HeaderName; 10] = [

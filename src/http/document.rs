@@ -14,7 +14,8 @@ use super::{limits, problem, representation, router};
 use crate::output::ResultDocument;
 
 pub use parameters::{
-    AcceptHeader, ConditionHeaders, IfNoneMatchHeader, JobPath, ListParameters, PreferHeader, SubmitQuery,
+    AcceptHeader, ChangeHeader, ConditionHeaders, IfNoneMatchHeader, JobPath, ListParameters, OriginHeaders,
+    PreferHeader, SubmitQuery,
 };
 pub use problems::{
     JobProblems, ListProblems, NegotiatedProblems, ReadyProblems, ResultProblems, SubmitProblems,

@@ -31,6 +31,8 @@ pub struct Limits {
     pub page_most: u32,
     /// Characters of a source name.
     pub name_chars: usize,
+    /// Characters of a client's reference and of its request id.
+    pub reference_chars: usize,
 }
 
 impl Default for Limits {
@@ -46,6 +48,7 @@ impl Default for Limits {
             page_default: 50,
             page_most: 500,
             name_chars: 255,
+            reference_chars: 128,
         }
     }
 }

@@ -6,8 +6,10 @@
 
 mod connections;
 mod cors;
+mod digest;
 pub mod document;
 mod etag;
+mod idempotency;
 pub mod limits;
 mod lingering;
 mod negotiation;

@@ -14,7 +14,8 @@ use crate::mesh::Units;
 pub const UNITS: &str = "units";
 pub const NAME: &str = "name";
 pub const PRESET: &str = "preset";
-const OTHERS: [&str; 3] = [UNITS, NAME, PRESET];
+pub const CLIENT_REFERENCE: &str = "client_reference";
+const OTHERS: [&str; 4] = [UNITS, NAME, PRESET, CLIENT_REFERENCE];
 
 /// What a client asks of the job, beside the mesh.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,6 +23,8 @@ pub struct Asked {
     pub units: Units,
     pub name: Option<FileName>,
     pub parameters: Parameters,
+    /// The client's own word for the job, opaque.
+    pub client_reference: Option<String>,
 }
 
 impl Asked {
@@ -50,7 +53,8 @@ impl Asked {
             })?;
         }
         let name = value(NAME).map(|name| source_name(name, limits)).transpose()?.flatten();
-        Ok(Self { units, name, parameters })
+        let client_reference = value(CLIENT_REFERENCE).map(|text| reference(text, limits)).transpose()?;
+        Ok(Self { units, name, parameters, client_reference })
     }
 }
 
@@ -93,6 +97,16 @@ pub fn source_name(name: &str, limits: &Limits) -> Result<Option<FileName>, Prob
     }
     let last = name.rsplit(['/', '\\']).next().unwrap_or_default().trim();
     Ok(if last.is_empty() { None } else { Some(FileName::new(last)) })
+}
+
+fn reference(text: &str, limits: &Limits) -> Result<String, Problem> {
+    if text.is_empty() || text.chars().count() > limits.reference_chars || text.chars().any(char::is_control)
+    {
+        let most = limits.reference_chars;
+        let expected = format!("a reference has 1 to {most} characters and no control characters");
+        return Err(invalid(CLIENT_REFERENCE, expected));
+    }
+    Ok(text.to_owned())
 }
 
 /// The value of a parameter that takes one of a few words; its default where it is not given.

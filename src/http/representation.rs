@@ -44,6 +44,13 @@ pub struct StatusDocument {
     /// Why it failed; null unless it did.
     #[schema(required, value_type = Option<Details>)]
     error: Option<Problem>,
+    /// The submission's `X-Request-ID`, where it had one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(example = "pacs-4711")]
+    request_id: Option<String>,
+    /// The submission's `client_reference`, where it had one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    client_reference: Option<String>,
     links: Vec<Link>,
 }
 
@@ -112,6 +119,8 @@ impl From<&Job> for StatusDocument {
             updated: rfc3339(job.updated),
             finished: job.finished.map(rfc3339),
             error: job.error.as_ref().map(|failure| Problem::from(failure).about(job.id)),
+            request_id: job.spec.origin.request_id.clone(),
+            client_reference: job.spec.origin.client_reference.clone(),
             links,
         }
     }

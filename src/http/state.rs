@@ -5,6 +5,7 @@ use std::sync::Arc;
 use rayon::ThreadPoolBuildError;
 use tokio_util::sync::CancellationToken;
 
+use super::idempotency::InFlight;
 use super::limits::Limits;
 use super::validation::Validator;
 use crate::jobs::JobService;
@@ -17,6 +18,7 @@ struct Inner {
     jobs: Arc<JobService>,
     limits: Limits,
     validator: Validator,
+    in_flight: InFlight,
     closing: CancellationToken,
 }
 
@@ -25,7 +27,13 @@ impl App {
     /// When the threads that check meshes cannot be started.
     pub fn new(jobs: Arc<JobService>, limits: Limits) -> Result<Self, ThreadPoolBuildError> {
         let validator = Validator::new(&limits)?;
-        Ok(Self(Arc::new(Inner { jobs, limits, validator, closing: CancellationToken::new() })))
+        Ok(Self(Arc::new(Inner {
+            jobs,
+            limits,
+            validator,
+            in_flight: InFlight::default(),
+            closing: CancellationToken::new(),
+        })))
     }
 
     pub fn jobs(&self) -> &JobService {
@@ -38,6 +46,10 @@ impl App {
 
     pub(super) fn validator(&self) -> &Validator {
         &self.0.validator
+    }
+
+    pub(super) fn in_flight(&self) -> &InFlight {
+        &self.0.in_flight
     }
 
     /// Set when the service begins to shut down: requests that wait should answer.

@@ -6,9 +6,9 @@ mod multipart;
 use axum::extract::{Query, Request};
 use axum::http::{HeaderMap, header};
 
-use super::App;
 use super::parameters::Asked;
 use super::problem::{MALFORMED_REQUEST, Problem, UNSUPPORTED_MEDIA_TYPE, UPLOAD_TOO_LARGE};
+use super::{App, digest};
 use crate::jobs::{FormatHint, Upload};
 
 /// The media types of a raw body.
@@ -47,7 +47,9 @@ pub async fn receive(app: &App, request: Request) -> Result<Received, Problem> {
         return multipart::receive(app, request, query).await;
     }
     let asked = Asked::from_pairs(&query, app.limits())?;
+    let expected = digest::sha256(request.headers())?;
     let upload = body::store(app, request.into_body()).await?;
+    digest::check(expected.as_deref(), upload.sha256())?;
     let hint = FormatHint { extension: None, content_type: Some(content_type) };
     Ok(Received { upload, asked, hint })
 }

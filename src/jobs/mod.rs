@@ -38,8 +38,8 @@ pub use folder::{DataFolder, FolderError};
 pub use id::{IdSource, JobId, ParseJobIdError};
 pub use live::JobStage;
 pub use model::{
-    Counts, FileName, FormatHint, Job, JobSpec, JobStatus, Lease, ParameterValues, StoredArtifact,
-    StoredInput, UnknownStatus,
+    Counts, FileName, FormatHint, Idempotency, Job, JobSpec, JobStatus, Lease, Origin, ParameterValues,
+    StoredArtifact, StoredInput, UnknownStatus,
 };
 pub use panics::log_panics_without_text;
 pub use service::{JobService, Removed, Upload};

@@ -132,6 +132,30 @@ pub struct FormatHint {
     pub content_type: Option<String>,
 }
 
+/// What a client says of its request, to find its job by. May be patient data: `Debug` hides it.
+#[derive(Clone, Default, PartialEq, Eq)]
+pub struct Origin {
+    /// Its `X-Request-ID`.
+    pub request_id: Option<String>,
+    /// Its own word for the job.
+    pub client_reference: Option<String>,
+}
+
+impl fmt::Debug for Origin {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Origin(hidden)")
+    }
+}
+
+/// The request that made a job, so that the same request makes no second one.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Idempotency {
+    /// The client's; no two jobs have the same.
+    pub key: String,
+    /// Equal for equal requests.
+    pub fingerprint: String,
+}
+
 /// What a client asks for, beside the mesh's bytes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JobSpec {
@@ -140,12 +164,21 @@ pub struct JobSpec {
     pub name: Option<FileName>,
     pub units: Units,
     pub parameters: ParameterValues,
+    pub origin: Origin,
+    pub idempotency: Option<Idempotency>,
 }
 
 impl Default for JobSpec {
     fn default() -> Self {
         let parameters = ParameterValues::from(&Parameters::default());
-        Self { hint: FormatHint::default(), name: None, units: Units::default(), parameters }
+        Self {
+            hint: FormatHint::default(),
+            name: None,
+            units: Units::default(),
+            parameters,
+            origin: Origin::default(),
+            idempotency: None,
+        }
     }
 }
 

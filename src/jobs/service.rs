@@ -161,6 +161,11 @@ impl JobService {
         Ok(self.with_progress(job))
     }
 
+    /// The job that was made with this idempotency key, as it is now.
+    pub async fn find(&self, key: &str) -> Result<Option<Job>, JobError> {
+        Ok(self.shared.store.by_key(key).await?.map(|job| self.with_progress(job)))
+    }
+
     fn with_progress(&self, mut job: Job) -> Job {
         if job.status == JobStatus::Running
             && let Some((stage, percent)) =
@@ -186,6 +191,25 @@ impl JobService {
             () = tokio::time::sleep(limit) => {}
         }
         self.status(id).await
+    }
+
+    /// [`JobService::status`] once it differs from `seen`, or after `limit`, whichever is first.
+    pub async fn wait_change(&self, seen: &Job, limit: Duration) -> Result<Job, JobError> {
+        let (id, end) = (seen.id, tokio::time::Instant::now() + limit);
+        loop {
+            let mut watch = self.shared.board.watch(id);
+            watch.changes.mark_unchanged();
+            let job = self.status(id).await?;
+            if job != *seen || !job.status.is_active() {
+                return Ok(job);
+            }
+            tokio::select! {
+                // The sender lives in `watch`, so the wait does not fail.
+                _ = watch.changes.changed() => {}
+                () = self.will_not_start(id) => return Ok(job),
+                () = tokio::time::sleep_until(end) => return Ok(job),
+            }
+        }
     }
 
     /// Ready when the service drains and the job does not run.

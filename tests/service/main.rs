@@ -12,6 +12,7 @@ mod busy;
 mod deletion;
 mod listing;
 mod refusals;
+mod resend;
 mod restarts;
 mod results;
 mod setup;

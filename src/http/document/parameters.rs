@@ -6,8 +6,9 @@ use utoipa::openapi::Required;
 use utoipa::openapi::path::{Parameter, ParameterBuilder, ParameterIn};
 use utoipa::openapi::schema::{KnownFormat, Object, ObjectBuilder, SchemaFormat, Type};
 
+use super::super::idempotency::{IDEMPOTENCY_KEY, KEY_PATTERN};
 use super::super::limits::Limits;
-use super::super::parameters::{NAME, PRESET, UNITS};
+use super::super::parameters::{CLIENT_REFERENCE, NAME, PRESET, UNITS};
 use super::super::prefer::PREFER;
 use crate::centerline::{ParameterKind, ParameterSpec, Preset, TABLE};
 use crate::jobs::JobStatus;
@@ -35,6 +36,21 @@ parameters! {
     SubmitQuery => job_parameters().into_iter().map(|(name, schema)| query(&name, schema)).collect();
     /// Filters and paging of the list.
     ListParameters => list();
+    /// By which a client finds its request again.
+    OriginHeaders => vec![
+        header(
+            IDEMPOTENCY_KEY.as_str(),
+            "Sent again with the same mesh and parameters, it answers with the first job, as long as that is kept",
+            ObjectBuilder::new().schema_type(Type::String).pattern(Some(KEY_PATTERN)).build(),
+            json!("2f6f1b0e-6f0c-4b57-9a53-0d6f1b7a8c21"),
+        ),
+        header(
+            "X-Request-ID",
+            "Comes back in the job's status, where it has 1 to 128 visible ASCII characters",
+            text(),
+            json!("pacs-4711"),
+        ),
+    ];
     PreferHeader => vec![header(
         PREFER.as_str(),
         "`wait=N` answers once the job has ended, or after N seconds, at most 60 (RFC 7240)",
@@ -46,6 +62,13 @@ parameters! {
         "Media types with their q-values; JSON where it is missing",
         text(),
         json!(OutputFormat::Glb.media_type()),
+    )];
+    ChangeHeader => vec![header(
+        PREFER.as_str(),
+        "`wait=N` answers once the status is another than that of `If-None-Match` (without one: than now), or after N \
+         seconds, at most 60 (RFC 7240)",
+        text(),
+        json!("wait=10"),
     )];
     IfNoneMatchHeader => vec![if_none_match()];
     /// Conditions and ranges of a result.
@@ -85,6 +108,16 @@ pub fn job_parameters() -> Vec<(String, Object)> {
                 .description(Some(
                     "`default` is scaled to the local radius and edge length; `paper` has the paper's constants",
                 ))
+                .build(),
+        ),
+        (
+            CLIENT_REFERENCE.to_owned(),
+            ObjectBuilder::new()
+                .schema_type(Type::String)
+                .min_length(Some(1))
+                .max_length(Some(Limits::default().reference_chars))
+                .pattern(Some(NO_CONTROL))
+                .description(Some("The client's own word for the job; comes back in its status"))
                 .build(),
         ),
     ];

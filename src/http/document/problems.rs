@@ -27,8 +27,8 @@ macro_rules! problems {
 problems! {
     /// Of `POST /v1/jobs`.
     SubmitProblems => [
-        MALFORMED_REQUEST, UNKNOWN_PARAMETER, INVALID_PARAMETER, UPLOAD_INCOMPLETE, EMPTY, TRUNCATED, MALFORMED,
-        UPLOAD_TIMEOUT, UPLOAD_TOO_LARGE, MESH_TOO_LARGE, UNSUPPORTED_MEDIA_TYPE, UNSUPPORTED_FORMAT,
+        MALFORMED_REQUEST, UNKNOWN_PARAMETER, INVALID_PARAMETER, UPLOAD_INCOMPLETE, DIGEST_MISMATCH, EMPTY, TRUNCATED, MALFORMED,
+        UPLOAD_TIMEOUT, IDEMPOTENCY_IN_FLIGHT, IDEMPOTENCY_KEY_REUSED, UPLOAD_TOO_LARGE, MESH_TOO_LARGE, UNSUPPORTED_MEDIA_TYPE, UNSUPPORTED_FORMAT,
         NON_FINITE_COORDINATE, INDEX_OUT_OF_RANGE, NO_POLYGONS, UNSUPPORTED_FEATURE, NOT_READY, STORAGE_FULL,
     ];
     /// Of `GET /v1/jobs`.
@@ -90,7 +90,7 @@ fn response(kinds: &[&Kind]) -> Response {
             kind if *kind == RANGE_NOT_SATISFIABLE => {
                 response.header("Content-Range", header("The length of the result: `bytes */1234`"))
             }
-            kind if *kind == NOT_READY => {
+            kind if *kind == NOT_READY || *kind == IDEMPOTENCY_IN_FLIGHT => {
                 response.header("Retry-After", header("Seconds after which to try again"))
             }
             kind if *kind == RESULT_NOT_READY => {

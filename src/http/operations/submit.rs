@@ -4,15 +4,18 @@ use std::time::Duration;
 
 use axum::Json;
 use axum::extract::{Request, State};
-use axum::http::{HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
 use super::super::document::{self, SubmitProblems};
+use super::super::idempotency::{self, Claim};
 use super::super::representation::{StatusDocument, job_path};
 use super::super::upload::{self, Received};
 use super::super::{App, Problem, prefer};
 use super::status::{RETRY_AFTER, tagged};
-use crate::jobs::{FormatHint, Job, JobSpec, ParameterValues};
+use crate::jobs::{FormatHint, Job, JobSpec, Origin, ParameterValues};
+
+pub const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
 /// Submit a mesh
 ///
@@ -22,17 +25,22 @@ use crate::jobs::{FormatHint, Job, JobSpec, ParameterValues};
 ///
 /// A form has the parts `mesh` and, before or after it, `parameters`: a JSON object with the names of the query
 /// parameters, which override the query's.
+///
+/// A raw body with a `Content-Digest` (RFC 9530) of SHA-256 is refused when it has another one.
 #[utoipa::path(
     post,
     path = "/v1/jobs",
     operation_id = "submitJob",
     tag = document::JOBS,
-    params(document::SubmitQuery, document::PreferHeader),
+    params(document::SubmitQuery, document::PreferHeader, document::OriginHeaders),
     responses(document::Created, SubmitProblems)
 )]
 pub async fn submit(State(app): State<App>, request: Request) -> Result<Response, Problem> {
     let wait = prefer::wait(request.headers(), app.limits().wait);
-    let job = accept(&app, upload::receive(&app, request).await?).await?;
+    let request_id = request_id(request.headers(), app.limits().reference_chars);
+    let claim = app.in_flight().claim(request.headers())?;
+    let job = accept(&app, upload::receive(&app, request).await?, request_id, claim.as_ref()).await?;
+    drop(claim);
     let job = match wait {
         Some(limit) => until_ended(&app, job, limit).await,
         None => job,
@@ -41,19 +49,41 @@ pub async fn submit(State(app): State<App>, request: Request) -> Result<Response
 }
 
 /// Checks the mesh and makes the job durable.
-async fn accept(app: &App, received: Received) -> Result<Job, Problem> {
+async fn accept(
+    app: &App,
+    received: Received,
+    request_id: Option<String>,
+    claim: Option<&Claim>,
+) -> Result<Job, Problem> {
     let Received { upload, asked, hint } = received;
-    let turn = app.validator().turn().await?;
-    let bytes = upload.read().await?;
-    let format = app.validator().check(turn, bytes, hint).await?;
-    let spec = JobSpec {
-        // What the content was found to be settles what a second reading could doubt.
-        hint: FormatHint { extension: Some(format.name().to_owned()), content_type: None },
+    let mut spec = JobSpec {
+        hint: FormatHint::default(),
         name: asked.name,
         units: asked.units,
         parameters: ParameterValues::from(&asked.parameters),
+        origin: Origin { request_id, client_reference: asked.client_reference },
+        idempotency: None,
     };
+    if let Some(claim) = claim {
+        let request = claim.of(&spec, upload.sha256());
+        if let Some(job) = app.jobs().find(&request.key).await? {
+            return idempotency::first(job, &request);
+        }
+        spec.idempotency = Some(request);
+    }
+    let turn = app.validator().turn().await?;
+    let bytes = upload.read().await?;
+    let format = app.validator().check(turn, bytes, hint).await?;
+    // What the content was found to be settles what a second reading could doubt.
+    spec.hint = FormatHint { extension: Some(format.name().to_owned()), content_type: None };
     Ok(app.jobs().submit(upload, spec).await?)
+}
+
+/// What a client or a proxy calls the request; what is no such name is passed over.
+fn request_id(headers: &HeaderMap, most: usize) -> Option<String> {
+    let text = headers.get(REQUEST_ID)?.to_str().ok()?;
+    let fits = (1..=most).contains(&text.len()) && text.bytes().all(|byte| byte.is_ascii_graphic());
+    fits.then(|| text.to_owned())
 }
 
 /// The job once it has ended, after `limit`, or when the service shuts down, whichever is first.

@@ -2,6 +2,7 @@
 
 use axum::http::header;
 
+use super::super::idempotency;
 use super::{
     INTERNAL_ERROR, JOB_DISMISSED, JOB_NOT_FOUND, NOT_READY, Problem, RESULT_NOT_READY, STORAGE_FULL,
 };
@@ -31,6 +32,7 @@ impl From<JobError> for Problem {
                 &STORAGE_FULL,
                 "the service's disk is full; try again when its operator has made room",
             ),
+            JobError::Store(StoreError::KeyTaken) => idempotency::in_flight(),
             error => internal(&error),
         }
     }

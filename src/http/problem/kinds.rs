@@ -20,6 +20,10 @@ kinds! {
     UNKNOWN_PARAMETER = BAD_REQUEST, "unknown-parameter", "There is no such parameter";
     INVALID_PARAMETER = BAD_REQUEST, "invalid-parameter", "A parameter has a value that it cannot take";
     UPLOAD_INCOMPLETE = BAD_REQUEST, "upload-incomplete", "The upload broke off";
+    DIGEST_MISMATCH = BAD_REQUEST, "digest-mismatch", "The body is not the one that its digest is of";
+    IDEMPOTENCY_IN_FLIGHT = CONFLICT, "idempotency-in-flight", "A request with this key is under way";
+    IDEMPOTENCY_KEY_REUSED = UNPROCESSABLE_ENTITY, "idempotency-key-reused",
+        "The key was used for another request";
     NOT_FOUND = NOT_FOUND, "not-found", "There is nothing at this path";
     JOB_NOT_FOUND = NOT_FOUND, "job-not-found", "There is no such job";
     RESULT_NOT_READY = NOT_FOUND, "result-not-ready", "The job has no result yet";

@@ -26,6 +26,8 @@ pub enum StoreError {
     Migrate(#[from] sqlx::migrate::MigrateError),
     #[error("job {id} has an unreadable {column} in the database: {detail}")]
     Corrupt { id: String, column: &'static str, detail: String },
+    #[error("another job has this idempotency key")]
+    KeyTaken,
     #[error("there is no store for the URL scheme '{scheme}'; use sqlite:")]
     Scheme { scheme: String },
 }
@@ -65,9 +67,14 @@ pub struct Recovered {
 /// A change is on disk when its future is ready. Where a [`Lease`] is asked for, the change happens only
 /// if the job still runs under that lease; the answer says whether it did. Times are epoch milliseconds.
 pub trait JobStore: Send + Sync + 'static {
+    /// # Errors
+    /// [`StoreError::KeyTaken`] when another job has its idempotency key.
     fn insert<'a>(&'a self, job: &'a Job) -> StoreFuture<'a, ()>;
 
     fn get(&self, id: JobId) -> StoreFuture<'_, Option<Job>>;
+
+    /// The job that was made with this idempotency key.
+    fn by_key<'a>(&'a self, key: &'a str) -> StoreFuture<'a, Option<Job>>;
 
     fn list(&self, query: ListQuery) -> StoreFuture<'_, Page>;
 

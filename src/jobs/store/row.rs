@@ -4,7 +4,7 @@ use sqlx::any::AnyRow;
 use sqlx::{Any, ColumnIndex, Decode, Row, Type};
 
 use super::StoreError;
-use crate::jobs::{FileName, FormatHint, Job, JobId, JobSpec, Lease, StoredInput};
+use crate::jobs::{FileName, FormatHint, Idempotency, Job, JobId, JobSpec, Lease, Origin, StoredInput};
 
 /// Reads `column` of `row`.
 fn column<'r, T>(row: &'r AnyRow, column: &'static str) -> Result<T, StoreError>
@@ -78,6 +78,14 @@ pub(super) fn job(row: &AnyRow) -> Result<Job, StoreError> {
             name: columns.optional_text("name")?.map(FileName::new),
             units: columns.parsed("units")?,
             parameters: columns.json("parameters", &columns.text("parameters")?)?,
+            origin: Origin {
+                request_id: columns.optional_text("request_id")?,
+                client_reference: columns.optional_text("client_reference")?,
+            },
+            idempotency: columns
+                .optional_text("idempotency_key")?
+                .zip(columns.optional_text("idempotency_fingerprint")?)
+                .map(|(key, fingerprint)| Idempotency { key, fingerprint }),
         },
         artifacts: columns.json("artifacts", &columns.text("artifacts")?)?,
         attempts: columns.number("attempts")?,

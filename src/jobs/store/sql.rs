@@ -95,13 +95,18 @@ fn classified(error: sqlx::Error) -> StoreError {
     if full { StoreError::Full(error) } else { StoreError::Database(error) }
 }
 
+fn is_repeated(error: &sqlx::Error) -> bool {
+    error.as_database_error().is_some_and(|inner| inner.is_unique_violation())
+}
+
 impl JobStore for SqlStore {
     fn insert<'a>(&'a self, job: &'a Job) -> StoreFuture<'a, ()> {
         async move {
             let sql = "INSERT INTO jobs (id, status, progress, stage, created, started, updated, finished, error, \
                        input_key, input_size, input_sha256, hint_extension, hint_content_type, name, units, parameters, artifacts, \
-                       attempts, lease) \
-                       VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, $18, $19, $20)";
+                       attempts, lease, request_id, client_reference, idempotency_key, idempotency_fingerprint) \
+                       VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, $18, $19, $20, \
+                       $21, $22, $23, $24)";
             let error = job.error.as_ref().map(json).transpose()?;
             let statement = sqlx::query(sql)
                 .bind(job.id.to_string())
@@ -123,8 +128,16 @@ impl JobStore for SqlStore {
                 .bind(json(&job.spec.parameters)?)
                 .bind(json(&job.artifacts)?)
                 .bind(i64::from(job.attempts))
-                .bind(job.lease.as_ref().map(|lease| lease.as_str().to_owned()));
-            self.change(statement).await?;
+                .bind(job.lease.as_ref().map(|lease| lease.as_str().to_owned()))
+                .bind(job.spec.origin.request_id.clone())
+                .bind(job.spec.origin.client_reference.clone())
+                .bind(job.spec.idempotency.as_ref().map(|request| request.key.clone()))
+                .bind(job.spec.idempotency.as_ref().map(|request| request.fingerprint.clone()));
+            self.change(statement).await.map_err(|error| match error {
+                // Ids are made here and never repeat, so it is the key.
+                StoreError::Database(error) if is_repeated(&error) => StoreError::KeyTaken,
+                error => error,
+            })?;
             Ok(())
         }
         .boxed()
@@ -133,6 +146,15 @@ impl JobStore for SqlStore {
     fn get(&self, id: JobId) -> StoreFuture<'_, Option<Job>> {
         async move {
             let query = sqlx::query("SELECT * FROM jobs WHERE id = $1").bind(id.to_string());
+            let row = query.fetch_optional(&self.readers).await?;
+            row.as_ref().map(job).transpose()
+        }
+        .boxed()
+    }
+
+    fn by_key<'a>(&'a self, key: &'a str) -> StoreFuture<'a, Option<Job>> {
+        async move {
+            let query = sqlx::query("SELECT * FROM jobs WHERE idempotency_key = $1").bind(key);
             let row = query.fetch_optional(&self.readers).await?;
             row.as_ref().map(job).transpose()
         }

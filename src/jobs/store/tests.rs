@@ -7,7 +7,7 @@ use sqlx::{Connection, Row};
 use tempfile::TempDir;
 
 use super::*;
-use crate::jobs::{FileName, FormatHint, IdSource, JobSpec, ManualClock, StoredInput};
+use crate::jobs::{FileName, FormatHint, IdSource, Idempotency, JobSpec, ManualClock, Origin, StoredInput};
 use crate::mesh::Units;
 use crate::output::OutputFormat;
 
@@ -67,6 +67,8 @@ async fn a_job_reads_back_as_it_was_inserted_also_after_reopening() {
     job.spec.units = Units::Inches;
     job.spec.hint = FormatHint { extension: Some("stl".into()), content_type: Some("model/stl".into()) };
     job.spec.parameters.values.insert("omega".into(), 0.1 + 0.2);
+    job.spec.origin = Origin { request_id: Some("r'1".into()), client_reference: Some("ñ \"x\"".into()) };
+    job.spec.idempotency = Some(Idempotency { key: "k".into(), fingerprint: "f".into() });
     job.stage = Some("tips".into());
     (job.progress, job.started, job.finished, job.attempts) = (57, Some(3), Some(4), 2);
     job.error = Some(JobFailure::new("code", 422, "title", "detail"));
@@ -252,6 +254,48 @@ async fn an_unreadable_row_does_not_stop_the_queue() {
     assert_eq!(fixture.claim().await.0.id, sound.id);
     let counts = fixture.store.counts().await.unwrap();
     assert_eq!(counts, Counts { running: 1, failed: 1, ..Counts::default() });
+}
+
+#[tokio::test]
+async fn an_idempotency_key_belongs_to_one_job_as_long_as_that_is_kept() {
+    let fixture = Fixture::new().await;
+    let mut job = fixture.insert().await;
+    let mut insert = async |key: &str| {
+        job.id = fixture.ids.next();
+        job.spec.idempotency = Some(Idempotency { key: key.to_owned(), fingerprint: "f".to_owned() });
+        fixture.store.insert(&job).await.map(|()| job.clone())
+    };
+    let first = insert("a").await.unwrap();
+    assert!(matches!(insert("a").await, Err(StoreError::KeyTaken)));
+    insert("b").await.unwrap();
+    fixture.insert().await;
+    assert_eq!(fixture.store.by_key("a").await.unwrap(), Some(first.clone()));
+    assert_eq!(fixture.store.by_key("c").await.unwrap(), None);
+    fixture.store.dismiss(first.id, 2_000).await.unwrap();
+    fixture.store.delete(first.id).await.unwrap();
+    assert_eq!(fixture.store.by_key("a").await.unwrap(), None);
+    insert("a").await.unwrap();
+}
+
+#[tokio::test]
+async fn a_database_of_the_first_form_is_brought_to_this_one() {
+    use sqlx::migrate::Migrator;
+    let fixture = Fixture::new().await;
+    let all = sqlx::migrate!("src/jobs/store/migrations");
+    let first = Migrator { migrations: all.migrations[..1].to_vec().into(), ..Migrator::DEFAULT };
+    let old = tempfile::tempdir().unwrap();
+    let mut connection = sqlx::AnyConnection::connect(&url(&old)).await.unwrap();
+    first.run(&mut connection).await.unwrap();
+    let id = fixture.ids.next().to_string();
+    let sql = "INSERT INTO jobs (id, status, progress, created, updated, input_key, input_size, input_sha256, units, \
+               parameters, artifacts, attempts) VALUES ($1, 'accepted', 0, 1, 1, 'k', 2, 'ab', 'mm', \
+               '{\"preset\":\"default\",\"values\":{}}', '[]', 0)";
+    sqlx::query(sql).bind(&id).execute(&mut connection).await.unwrap();
+    connection.close().await.unwrap();
+    let store = SqlStore::open(&url(&old)).await.unwrap();
+    let job = store.get(id.parse().unwrap()).await.unwrap().unwrap();
+    assert_eq!((job.spec.origin, job.spec.idempotency, job.input.size), (Origin::default(), None, 2));
+    assert_eq!(store.claim(&Lease::new(), 5).await.unwrap().map(|job| job.id.to_string()), Some(id));
 }
 
 #[tokio::test]
