@@ -9,6 +9,7 @@ mod meshes;
 mod service;
 
 mod busy;
+mod changes;
 mod deletion;
 mod listing;
 mod refusals;

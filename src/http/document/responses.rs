@@ -31,7 +31,12 @@ macro_rules! responses {
 
 responses! {
     Created => [("201", created())];
-    Status => [("200", status())];
+    Status => [
+        ("200", status()),
+        ("304", ResponseBuilder::new()
+            .description("The client has this status already")
+            .header("ETag", header("Strong entity tag"))),
+    ];
     Deleted => [
         ("200", job("The job was active and is dismissed now", examples::dismissed())),
         ("204", ResponseBuilder::new().description("The job had ended; it is gone with its files")),
@@ -114,6 +119,8 @@ fn link(operation: &str) -> Link {
 
 fn status() -> ResponseBuilder {
     job("The job's status", examples::successful())
+        .header("ETag", header("Strong entity tag"))
+        .header("Preference-Applied", header("The wait that was granted"))
         .header("Retry-After", seconds("Of an active job: seconds after which to ask again"))
 }
 
