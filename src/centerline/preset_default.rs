@@ -19,8 +19,8 @@ use crate::centerline::segmentation::level_sets::LevelSet;
 use crate::centerline::segmentation::track::{Track, rings, stations_of};
 use crate::centerline::tips::geodesic::{EdgeGraph, geodesic};
 use crate::centerline::tips::reeb::{ReebGraph, reeb_graph};
-use crate::centerline::tips::root::root;
-use crate::centerline::tips::{Chain, chains, farthest};
+use crate::centerline::tips::root::roots;
+use crate::centerline::tips::{Branching, Chain, chains, farthest};
 use crate::centerline::{Control, ExtractError, Parameters, Stage};
 
 /// Rounds of centering joints and judging the walls on the way to them.
@@ -52,7 +52,8 @@ pub fn extract_component(
     Ok(result)
 }
 
-/// The Reeb graph of the geodesic distance from the widest end's cap, and its chains.
+/// The Reeb graph of the geodesic distance from the widest end's cap, and its chains. Where several ends
+/// might be that, the one from which most ends are seen.
 pub(in crate::centerline) fn segment(
     surface: &Surface,
     tip_height: f64,
@@ -69,15 +70,21 @@ pub(in crate::centerline) fn segment(
     let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
     let first = chains(surface, &graph, tip_height, cancel)?;
     control.report(Stage::Segmentation, 0.0)?;
-    let Some(root) = root(surface, &graph, &first) else {
-        return Ok((graph, first));
-    };
-    edges.shrink(&root.cap);
-    let distance = geodesic(&edges, &[root.vertex], cancel)?;
-    control.report(Stage::Segmentation, 0.4)?;
-    let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
-    let chains = chains(surface, &graph, tip_height, cancel)?;
-    Ok((graph, chains))
+    let mut best = None;
+    for root in roots(surface, &graph, &first) {
+        let mut edges = edges.clone();
+        edges.shrink(&root.cap);
+        let distance = geodesic(&edges, &[root.vertex], cancel)?;
+        let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
+        let found = chains(surface, &graph, tip_height, cancel)?;
+        control.report(Stage::Segmentation, 0.4)?;
+        let more = |(_, best): &(ReebGraph, Branching)| found.ends() > best.ends();
+        if best.as_ref().is_none_or(more) {
+            best = Some((graph, found));
+        }
+    }
+    let (graph, branching) = best.unwrap_or((graph, first));
+    Ok((graph, branching.chains))
 }
 
 /// Rings, stations and judged sections of every branch; returns which branches have a section of their own.

@@ -35,17 +35,46 @@ pub struct Chain {
     pub arcs: Vec<(u32, bool)>,
 }
 
+/// What is left of the Reeb graph when the leaves that are no tips were removed.
+#[derive(Debug, Clone, Default)]
+pub struct Branching {
+    pub chains: Vec<Chain>,
+    /// Leaves that were removed although they rise a good part of their base's radius: a front that
+    /// passed them aslant may have hidden an end.
+    pub doubtful: Vec<DoubtfulTip>,
+}
+
+impl Branching {
+    /// How many ends the chains have.
+    pub fn ends(&self) -> usize {
+        let mut nodes: Vec<u32> = self.chains.iter().flat_map(|chain| [chain.from, chain.to]).collect();
+        nodes.sort_unstable();
+        nodes.chunk_by(|a, b| a == b).filter(|same| same.len() == 1).count()
+    }
+}
+
+/// A leaf that was removed as too low to be a branch.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DoubtfulTip {
+    /// The leaf's Reeb node.
+    pub leaf: u32,
+    /// Centre and radius of the level set at its base.
+    pub base: Point3<f64>,
+    pub radius: f64,
+}
+
 /// Which Reeb arcs remain after the leaves that are no tips were removed.
 struct Pruning<'a> {
     surface: &'a Surface,
     graph: &'a ReebGraph,
     alive: Vec<bool>,
+    doubtful: Vec<DoubtfulTip>,
     /// Arcs at each node, dead ones included.
     at_node: Vec<Vec<u32>>,
 }
 
-/// Removes the leaves lower than `tip_height` times their base radius, lowest first, and returns
-/// what remains as chains between ends and junctions. O(leaves log leaves + level sets measured).
+/// Removes the leaves lower than `tip_height` times their base radius, lowest first; what remains are
+/// chains between ends and junctions. O(leaves log leaves + level sets measured).
 ///
 /// # Errors
 /// [`ExtractError::Cancelled`].
@@ -54,16 +83,17 @@ pub fn chains(
     graph: &ReebGraph,
     tip_height: f64,
     cancel: &CancelToken,
-) -> Result<Vec<Chain>, ExtractError> {
+) -> Result<Branching, ExtractError> {
     let mut at_node = vec![Vec::new(); graph.nodes.len()];
     for (index, arc) in graph.arcs.iter().enumerate() {
         at_node[arc.lower as usize].push(index as u32);
         at_node[arc.upper as usize].push(index as u32);
     }
-    let mut pruning = Pruning { surface, graph, alive: vec![true; graph.arcs.len()], at_node };
+    let alive = vec![true; graph.arcs.len()];
+    let mut pruning = Pruning { surface, graph, alive, doubtful: Vec::new(), at_node };
     pruning.prune_leaves(tip_height, cancel)?;
     pruning.prune_root(tip_height);
-    Ok(pruning.chains())
+    Ok(Branching { chains: pruning.chains(), doubtful: pruning.doubtful })
 }
 
 impl Pruning<'_> {
@@ -122,9 +152,22 @@ impl Pruning<'_> {
             }
             if !self.stands_out(&arcs, leaf, height, self.sibling_radius(base, &arcs), tip_height) {
                 arcs.iter().for_each(|&arc| self.alive[arc as usize] = false);
+                self.doubt(&arcs, leaf, height);
             }
         }
         Ok(())
+    }
+
+    /// Notes a removed leaf that is high enough to be looked at from another root.
+    fn doubt(&mut self, arcs: &[u32], leaf: u32, height: f64) {
+        /// Least height, in radii of the base.
+        const DOUBT: f64 = 0.4;
+        let Some(&base) = arcs.last() else { return };
+        let radius = self.graph.arcs[base as usize].base_length / std::f64::consts::TAU;
+        let ring = if height > DOUBT * radius { self.rings(base).next() } else { None };
+        if let Some(ring) = ring {
+            self.doubtful.push(DoubtfulTip { leaf, base: ring.centroid, radius });
+        }
     }
 
     /// How far the function rises along an arc.
@@ -155,9 +198,10 @@ impl Pruning<'_> {
         let sample = base.base_length / f64::from(base.base_edges.max(1));
         let least = (tip_height * radius.min(beside)).max(SAMPLES * sample);
         let tip = self.graph.nodes[leaf as usize].vertex;
-        if let Some(opening) = self.surface.openings.iter().find(|opening| opening.centre == tip) {
-            // The vessel was cut here; an opening much thinner than what it opens is a hole in the wall.
-            return !beside.is_finite() || opening.radius >= HOLE * beside;
+        let opening = self.surface.openings.iter().find(|opening| opening.centre == tip);
+        // The vessel was cut here, however shortly; a small opening straight in the wall is a hole.
+        if opening.is_some_and(|opening| !beside.is_finite() || opening.radius >= HOLE * beside) {
+            return true;
         }
         // No straight distance is longer than the geodesic beside it but by the base's width: a cheap look first.
         height >= 0.5 * least && self.reach(arcs, leaf) >= least
@@ -282,7 +326,7 @@ mod tests {
         let graph = reeb_graph(&surface.mesh.vertices, &surface.corners, distance, &cancel).unwrap();
         let loops = graph.arcs.len() as i64 - graph.nodes.len() as i64 + 1;
         assert_eq!(loops, surface.genus() as i64);
-        (chains(surface, &graph, 1.0, &cancel).unwrap(), loops)
+        (chains(surface, &graph, 1.0, &cancel).unwrap().chains, loops)
     }
 
     #[test]

@@ -3,13 +3,15 @@
 //! A front that starts at one vertex of a wide end's rim, or enters a wide vessel from a thin side
 //! branch, runs aslant there and hides short trunks; one that starts from a whole cap does not.
 
+use std::cmp::Ordering;
+
 use nalgebra::{Point3, Vector3};
 
 use crate::mesh::corner_table::next;
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
-use crate::centerline::tips::Chain;
+use crate::centerline::tips::{Branching, Chain, DoubtfulTip};
 use crate::centerline::tips::reeb::ReebGraph;
 
 /// Where to take distances from.
@@ -26,68 +28,110 @@ struct End {
     radius: f64,
     /// Unit direction out of the lumen.
     outward: Vector3<f64>,
+    /// Shorter than it is wide: a sac, a stump, or an end that a front has passed aslant.
+    short: bool,
 }
 
-/// The widest end of the chains that is no sac. `None` when no chain has an end.
-pub fn root(surface: &Surface, graph: &ReebGraph, chains: &[Chain]) -> Option<Root> {
+/// The ends that distances may be taken from, the best first: the widest one that is long, then the
+/// others that are nearly as wide as the widest of all. None when no chain has an end.
+pub fn roots(surface: &Surface, graph: &ReebGraph, branching: &Branching) -> Vec<Root> {
+    /// Least radius against the widest.
+    const WIDE: f64 = 0.6;
+    /// Each costs a geodesic and a Reeb graph.
+    const MOST: usize = 3;
+    let mut ends = chain_ends(surface, graph, &branching.chains);
+    ends.extend(branching.doubtful.iter().filter_map(|tip| doubtful_end(surface, graph, tip)));
+    let widest = ends.iter().map(|end| end.radius).fold(0.0, f64::max);
+    ends.sort_by(|a, b| (a.short, b.radius).partial_cmp(&(b.short, a.radius)).unwrap_or(Ordering::Equal));
+    let first = ends.first().map(|end| end.vertex);
+    let candidates = ends.iter().filter(|end| Some(end.vertex) == first || end.radius >= WIDE * widest);
+    // Past a wide and long end only short ones that are wider still may have hidden something.
+    let sure = ends.first().is_some_and(|end| !end.short && end.radius >= 0.95 * widest);
+    let most = if sure { 1 } else { MOST };
+    candidates.take(most).map(|end| Root { vertex: end.vertex, cap: cap_around(surface, end) }).collect()
+}
+
+/// The ends of all chains.
+fn chain_ends(surface: &Surface, graph: &ReebGraph, chains: &[Chain]) -> Vec<End> {
     let mut degree = vec![0usize; graph.nodes.len()];
     for chain in chains {
         degree[chain.from as usize] += 1;
         degree[chain.to as usize] += 1;
     }
-    let mut widest: Option<End> = None;
-    for chain in chains {
-        for at_start in [true, false] {
-            let node = if at_start { chain.from } else { chain.to };
-            if degree[node as usize] != 1 {
-                continue;
-            }
-            let Some(end) = end_of(surface, graph, chain, at_start) else { continue };
-            if widest.as_ref().is_none_or(|best| end.radius > best.radius) {
-                widest = Some(end);
-            }
-        }
-    }
-    let end = widest?;
-    let cap = cap_around(surface, &end);
-    Some(Root { vertex: end.vertex, cap })
+    let both = chains.iter().flat_map(|chain| [(chain, chain.from, true), (chain, chain.to, false)]);
+    let free = both.filter(|&(_, node, _)| degree[node as usize] == 1);
+    free.filter_map(|(chain, _, at_start)| end_of(surface, graph, chain, at_start)).collect()
 }
 
-/// Width and direction of a chain's end; `None` for one shorter than it is wide (a sac, a stump).
+/// A removed leaf as an end.
+fn doubtful_end(surface: &Surface, graph: &ReebGraph, tip: &DoubtfulTip) -> Option<End> {
+    let vertex = graph.nodes[tip.leaf as usize].vertex;
+    let outward = (surface.mesh.vertices[vertex as usize] - tip.base).try_normalize(0.0)?;
+    Some(End { vertex, radius: tip.radius, outward, short: true })
+}
+
+/// Width and direction of a chain's end, from the rings a few radii inward of its tip.
 fn end_of(surface: &Surface, graph: &ReebGraph, chain: &Chain, at_start: bool) -> Option<End> {
-    const LEVELS: usize = 12;
-    /// Least length of an end that may be the root, in radii.
-    const LEAST: f64 = 1.5;
+    // Where a cap has no more influence, and how far the direction is looked for, in radii.
+    const NEAR: f64 = 1.5;
+    const FAR: f64 = 3.0;
     let node = if at_start { chain.from } else { chain.to };
     let vertex = graph.nodes[node as usize].vertex;
     let tip = surface.mesh.vertices[vertex as usize];
-    let mut rings: Vec<LevelSet> = Vec::new();
-    for &(arc, upward) in &chain.arcs {
-        let data = &graph.arcs[arc as usize];
-        let (low, high) = (graph.nodes[data.lower as usize].level, graph.nodes[data.upper as usize].level);
-        for i in 0..LEVELS {
-            let share = (i as f64 + 0.5) / LEVELS as f64;
-            let level = low + (high - low) * if upward { share } else { 1.0 - share };
-            rings.push(level_set(&surface.mesh.vertices, &surface.corners, graph, arc as usize, level));
+    let away = |ring: &LevelSet| (ring.centroid - tip).norm() / ring.radius();
+    let rings = rings_inward(surface, graph, chain, at_start, |ring| away(ring) > FAR);
+    let near = rings.iter().find(|ring| away(ring) > NEAR);
+    let (short, ring) = (near.is_none(), near.or(rings.last())?);
+    let base = rings.last().map_or(ring.centroid, |ring| ring.centroid);
+    let inward = (ring.centroid - base).try_normalize(1e-6 * ring.radius());
+    let outward = inward.or_else(|| (tip - ring.centroid).try_normalize(0.0))?;
+    let radius = if short { median_radius(&rings) } else { ring.radius() };
+    Some(End { vertex, radius, outward, short })
+}
+
+/// Level sets from a chain's tip inward, up to and with the first that is `enough`.
+fn rings_inward(
+    surface: &Surface,
+    graph: &ReebGraph,
+    chain: &Chain,
+    at_start: bool,
+    enough: impl Fn(&LevelSet) -> bool,
+) -> Vec<LevelSet> {
+    /// Distance between the rings, in their radii, and in shares of the chain's rise where they vanish.
+    const STEP: (f64, f64) = (0.4, 0.005);
+    let level = |node: u32| graph.nodes[node as usize].level;
+    let span = |arc: u32| {
+        let arc = &graph.arcs[arc as usize];
+        (level(arc.lower), level(arc.upper))
+    };
+    let total: f64 = chain.arcs.iter().map(|&(arc, _)| span(arc).1 - span(arc).0).sum();
+    let mut arcs = chain.arcs.clone();
+    if !at_start {
+        arcs.reverse();
+        arcs.iter_mut().for_each(|(_, upward)| *upward = !*upward);
+    }
+    let mut rings = Vec::new();
+    let mut due = STEP.1 * total;
+    for (arc, upward) in arcs {
+        let (low, high) = span(arc);
+        while due < high - low {
+            let at = if upward { low + due } else { high - due };
+            let ring = level_set(&surface.mesh.vertices, &surface.corners, graph, arc as usize, at);
+            due += (STEP.0 * ring.radius()).max(STEP.1 * total);
+            rings.push(ring);
+            if rings.last().is_some_and(&enough) {
+                return rings;
+            }
         }
+        due -= high - low;
     }
-    if at_start {
-        rings.reverse();
-    }
+    rings
+}
+
+fn median_radius(rings: &[LevelSet]) -> f64 {
     let mut radii: Vec<f64> = rings.iter().map(LevelSet::radius).collect();
     radii.sort_by(f64::total_cmp);
-    let radius = *radii.get(radii.len() / 2)?;
-    let base = rings.first()?.centroid;
-    if (tip - base).norm() < LEAST * radius {
-        return None;
-    }
-    let away = |p: &Point3<f64>| (p - tip).norm();
-    let near =
-        rings.iter().rev().find(|ring| away(&ring.centroid) > 1.5 * radius).map_or(base, |r| r.centroid);
-    let far =
-        rings.iter().rev().find(|ring| away(&ring.centroid) > 3.0 * radius).map_or(base, |r| r.centroid);
-    let outward = (near - far).try_normalize(1e-6 * radius).or_else(|| (tip - near).try_normalize(0.0))?;
-    Some(End { vertex, radius, outward })
+    radii.get(radii.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// The vertices of the triangles around an end that face outward, connected to its vertex.
