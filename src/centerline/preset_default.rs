@@ -10,9 +10,10 @@ use crate::mesh::preparation::{Opening, Surface};
 
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::connection::network::Network;
-use crate::centerline::connection::subsampling::{Anchor, settle_radii, smooth, smooth_ring};
+use crate::centerline::connection::subsampling::{Anchor, settle_radii};
 use crate::centerline::cut_plane::bulges::round_bulge;
 use crate::centerline::cut_plane::cross_sections::{judge_outward, march, recut, settle};
+use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, smooth, smooth_ring};
 use crate::centerline::recentering::ends::{end_point, far_wall};
 use crate::centerline::recentering::joints::{Approach, joint_centre, run_to_centre};
 use crate::centerline::segmentation::level_sets::LevelSet;
@@ -42,7 +43,10 @@ pub fn extract_component(
     let trusted = cut_planes(surface, &graph, &chains, &mut network, control)?;
     network.contract_short(&trusted);
     control.report(Stage::LaplacianSmoothing, 0.0)?;
-    network.tracks.par_iter_mut().for_each(|track| smooth(track, None, None));
+    network.tracks.par_iter_mut().for_each(|track| {
+        track.stiffness = choose_stiffness(&track.stations);
+        smooth(track, None, None);
+    });
     control.report(Stage::Recentering, 0.0)?;
     reach_ends(surface, &mut network, control)?;
     meet_in_joints(surface, &mut network, control)?;

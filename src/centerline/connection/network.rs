@@ -5,6 +5,7 @@ use nalgebra::{Point3, Vector3};
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::connection::subsampling::{Anchor, subsample};
 use crate::centerline::graph::{Branch, Node, NodeKind};
+use crate::centerline::laplacian_smoothing::branch::FIRM;
 use crate::centerline::segmentation::track::Track;
 use crate::centerline::tips::Chain;
 use crate::centerline::tips::reeb::ReebGraph;
@@ -43,6 +44,7 @@ impl Network {
             rings: Vec::new(),
             stations: Vec::new(),
             bulge: false,
+            stiffness: FIRM,
         };
         let tracks = chains.iter().map(track).collect();
         Self { nodes, tracks }

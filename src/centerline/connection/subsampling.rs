@@ -1,107 +1,15 @@
-//! Smoothing of a whole branch, and its sub-sampling into the points of the result (section IV.D).
+//! Sub-sampling of a branch into the points of the result (section IV.D), and its radii.
 
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{Point3, Vector3};
 
 use crate::centerline::cut_plane::wall_shape::WallShape;
-use crate::centerline::laplacian_smoothing::curve_fit::{Stiffness, fit_curve};
-use crate::centerline::segmentation::track::{SPACING, Sight, Station, Track, update_tangents};
-
-/// Stiffness of a branch: waves shorter than about six radii are noise of the wall.
-const STIFFNESS: Stiffness = Stiffness { third: 150.0, second: 0.02 };
-/// Weight of a point that does not move.
-const FIXED: f64 = 1e7;
+use crate::centerline::segmentation::track::{Sight, Station};
 
 /// A fixed end of a branch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Anchor {
     pub point: Point3<f64>,
     pub radius: f64,
-}
-
-/// Moves the stations onto a smooth curve between the anchors (either may be missing).
-pub fn smooth(track: &mut Track, from: Option<Anchor>, to: Option<Anchor>) {
-    thin_out(&mut track.stations, from, to);
-    let mut targets: Vec<Point3<f64>> = Vec::with_capacity(track.stations.len() + 2);
-    let mut weights = Vec::with_capacity(targets.capacity());
-    let mut push = |point: Point3<f64>, weight: Matrix3<f64>| {
-        targets.push(point);
-        weights.push(weight);
-    };
-    if let Some(anchor) = from {
-        push(anchor.point, Matrix3::identity() * FIXED);
-    }
-    for station in &track.stations {
-        push(station.target, station.weight);
-    }
-    if let Some(anchor) = to {
-        push(anchor.point, Matrix3::identity() * FIXED);
-    }
-    let path = track.stations.iter().map(|s| s.point);
-    let path: Vec<Point3<f64>> =
-        from.map(|a| a.point).into_iter().chain(path).chain(to.map(|a| a.point)).collect();
-    let fitted = fit_curve(&targets, &weights, &abscissa(&path), STIFFNESS);
-    let skip = usize::from(from.is_some());
-    for (station, point) in track.stations.iter_mut().zip(&fitted[skip..]) {
-        station.point = *point;
-    }
-    update_tangents(&mut track.stations);
-}
-
-/// Smooths a ring without junctions: its two ends are the same place.
-pub fn smooth_ring(track: &mut Track) {
-    let n = track.stations.len();
-    if n < 8 {
-        return;
-    }
-    let overlap = n.min(12);
-    let places: Vec<usize> = (n - overlap..n).chain(0..n).chain(0..overlap).collect();
-    let targets: Vec<_> = places.iter().map(|&i| track.stations[i].target).collect();
-    let weights: Vec<_> = places.iter().map(|&i| track.stations[i].weight).collect();
-    let path: Vec<_> = places.iter().map(|&i| track.stations[i].point).collect();
-    let fitted = fit_curve(&targets, &weights, &abscissa(&path), STIFFNESS);
-    for (station, point) in track.stations.iter_mut().zip(&fitted[overlap..]) {
-        station.point = *point;
-    }
-    let closed: Vec<Point3<f64>> =
-        [n - 1].into_iter().chain(0..n).chain([0]).map(|i| track.stations[i].point).collect();
-    for (station, tangent) in
-        track.stations.iter_mut().zip(&crate::centerline::segmentation::track::tangents(&closed)[1..])
-    {
-        station.tangent = *tangent;
-    }
-}
-
-/// Drops stations that crowd their predecessor or an anchor: divided differences need distance.
-fn thin_out(stations: &mut Vec<Station>, from: Option<Anchor>, to: Option<Anchor>) {
-    const CROWD: f64 = 0.3 * SPACING;
-    let mut previous = from.map(|anchor| anchor.point);
-    stations.retain(|station| {
-        let far = previous.is_none_or(|p| (station.point - p).norm() > CROWD * station.section_radius);
-        if far {
-            previous = Some(station.point);
-        }
-        far
-    });
-    if let Some(anchor) = to {
-        while stations.len() > 1
-            && stations.last().is_some_and(|s| (s.point - anchor.point).norm() < CROWD * s.section_radius)
-        {
-            stations.pop();
-        }
-    }
-}
-
-/// Length along a path at each of its points, strictly ascending.
-fn abscissa(path: &[Point3<f64>]) -> Vec<f64> {
-    let total: f64 = path.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-    let least = 1e-6 * total.max(f64::MIN_POSITIVE);
-    let mut s = 0.0;
-    let mut along = vec![0.0];
-    for pair in path.windows(2) {
-        s += (pair[1] - pair[0]).norm().max(least);
-        along.push(s);
-    }
-    along
 }
 
 /// The result's points and inscribed sphere radii: the stations and one point between each two, on a

@@ -10,7 +10,7 @@ use crate::mesh::preparation::Surface;
 
 use crate::centerline::cut_plane::section::{Frame, Profile, Section};
 use crate::centerline::cut_plane::wall_fit::{accept_clean, judge, judge_end};
-use crate::centerline::laplacian_smoothing::curve_fit::{CurveEnd, Stiffness, fit_curve};
+use crate::centerline::laplacian_smoothing::curve_fit::{CurveEnd, fit_curve};
 use crate::centerline::segmentation::level_sets::LevelSet;
 use crate::centerline::segmentation::track::{
     SPACING, Sight, Station, Track, section_from_rings, update_tangents,
@@ -19,7 +19,7 @@ use crate::centerline::segmentation::track::{
 /// Rounds of cutting and moving before sections are judged.
 const SETTLING: usize = 3;
 /// Light smoothing between the rounds.
-const LIGHT: Stiffness = Stiffness { third: 1.0, second: 0.02 };
+const LIGHT: f64 = 1.0;
 /// A section rounder than this (largest over smallest distance) may be the first to be trusted.
 const ROUND: f64 = 1.6;
 
@@ -62,7 +62,8 @@ pub fn settle(surface: &Surface, track: &mut Track) {
             .map(|s| if s.sight == Sight::Clean { Matrix3::identity() } else { Matrix3::identity() * 0.1 })
             .collect();
         let even: Vec<f64> = (0..stations.len()).map(|i| i as f64).collect();
-        for (station, point) in stations.iter_mut().zip(fit_curve(&targets, &weights, &even, LIGHT)) {
+        for (station, point) in stations.iter_mut().zip(fit_curve(&targets, &weights, &even, |_| LIGHT, 0.02))
+        {
             station.point = point;
         }
         update_tangents(stations);

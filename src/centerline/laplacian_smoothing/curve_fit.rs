@@ -9,23 +9,17 @@ use nalgebra::{Matrix3, Point3, Vector3};
 /// Half bandwidth of the normal equations: four points take part in a third difference.
 const BAND: usize = 11;
 
-/// How stiff the curve is.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Stiffness {
-    /// Weight of the squared third differences, against a point of weight 1 at mean spacing.
-    pub third: f64,
-    /// Weight of the squared second differences: keeps unsupported stretches from swinging out.
-    pub second: f64,
-}
-
 /// Moves `targets` onto the smoothest curve that respects their `weights` (3 x 3, identity: firm).
 ///
-/// `abscissa` ascends strictly. Points with a huge weight stay. O(n).
+/// `third` and `second` weigh the squared differences against a point of weight 1 at mean spacing;
+/// `third` by the number of the first point that takes part. `abscissa` ascends strictly. Points with a
+/// huge weight stay. O(n).
 pub fn fit_curve(
     targets: &[Point3<f64>],
     weights: &[Matrix3<f64>],
     abscissa: &[f64],
-    stiffness: Stiffness,
+    third: impl Fn(usize) -> f64,
+    second: f64,
 ) -> Vec<Point3<f64>> {
     let n = targets.len();
     if n < 3 {
@@ -43,8 +37,8 @@ pub fn fit_curve(
             }
         }
     }
-    penalise::<3>(&mut system, abscissa, stiffness.second);
-    penalise::<4>(&mut system, abscissa, stiffness.third);
+    penalise::<3>(&mut system, abscissa, |_| second);
+    penalise::<4>(&mut system, abscissa, third);
     // Holds directions that nothing else pins.
     for i in 0..3 * n {
         system.add(i, i, 1e-9);
@@ -56,7 +50,7 @@ pub fn fit_curve(
 
 /// Adds the squares of the divided differences over `POINTS` neighbours, scaled so that on even
 /// spacing they are the plain differences (1, -2, 1 and -1, 3, -3, 1).
-fn penalise<const POINTS: usize>(system: &mut Banded, abscissa: &[f64], weight: f64) {
+fn penalise<const POINTS: usize>(system: &mut Banded, abscissa: &[f64], weight: impl Fn(usize) -> f64) {
     let order = POINTS - 1;
     let factorial: f64 = (1..=order).map(|k| k as f64).product();
     for start in 0..abscissa.len().saturating_sub(order) {
@@ -68,7 +62,7 @@ fn penalise<const POINTS: usize>(system: &mut Banded, abscissa: &[f64], weight: 
         });
         for i in 0..POINTS {
             for j in 0..=i {
-                let value = weight * coefficient[i] * coefficient[j];
+                let value = weight(start) * coefficient[i] * coefficient[j];
                 for axis in 0..3 {
                     system.add(3 * (start + i) + axis, 3 * (start + j) + axis, value);
                 }
@@ -178,7 +172,7 @@ impl CurveEnd {
 mod tests {
     use super::*;
 
-    const STIFF: Stiffness = Stiffness { third: 200.0, second: 0.01 };
+    const STIFF: f64 = 200.0;
 
     #[test]
     fn a_parabola_is_left_alone_and_noise_is_not() {
@@ -186,13 +180,12 @@ mod tests {
         let on = |s: f64| Point3::new(s, 0.01 * s * s, -0.005 * s * s);
         let clean: Vec<_> = abscissa.iter().map(|&s| on(s)).collect();
         let weights = vec![Matrix3::identity(); 60];
-        let pure = Stiffness { second: 0.0, ..STIFF };
-        for (p, q) in clean.iter().zip(fit_curve(&clean, &weights, &abscissa, pure)) {
+        for (p, q) in clean.iter().zip(fit_curve(&clean, &weights, &abscissa, |_| STIFF, 0.0)) {
             assert!((p - q).norm() < 1e-6, "{p} moved to {q}");
         }
         let sign = |i: usize| if i.is_multiple_of(2) { 0.1 } else { -0.1 };
         let noisy: Vec<_> = clean.iter().enumerate().map(|(i, p)| p + Vector3::y() * sign(i)).collect();
-        let fitted = fit_curve(&noisy, &weights, &abscissa, pure);
+        let fitted = fit_curve(&noisy, &weights, &abscissa, |_| STIFF, 0.0);
         let worst = fitted.iter().zip(&clean).map(|(p, q)| (p - q).norm()).fold(0.0, f64::max);
         assert!(worst < 0.04, "noise of 0.1 is left at {worst}");
     }

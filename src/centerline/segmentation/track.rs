@@ -76,6 +76,8 @@ pub struct Track {
     pub stations: Vec<Station>,
     /// A sac or stump: one station, in the middle of its dome.
     pub bulge: bool,
+    /// How stiffly its line is smoothed (see [`crate::centerline::laplacian_smoothing::branch`]).
+    pub stiffness: f64,
 }
 
 /// The level sets of a chain, one every [`SPACING`] radii. O(edges crossed).

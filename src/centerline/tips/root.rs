@@ -5,14 +5,14 @@
 
 use std::cmp::Ordering;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 
 use crate::mesh::corner_table::next;
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
-use crate::centerline::tips::{Branching, Chain, DoubtfulTip};
 use crate::centerline::tips::reeb::ReebGraph;
+use crate::centerline::tips::{Branching, Chain, DoubtfulTip};
 
 /// Where to take distances from.
 #[derive(Debug, Clone, PartialEq)]
