@@ -22,6 +22,9 @@ pub struct WallShape {
     pub ellipse: [f64; 2],
     /// Change of the distance along the axis.
     pub slope: f64,
+    /// Mean extent along the axis of the triangles that the section crosses: closer sections say
+    /// much the same.
+    pub grain: f64,
 }
 
 impl WallShape {
@@ -69,16 +72,17 @@ impl WallShape {
             right += row * distance;
             count += 1;
         }
+        let grain = grain(surface, cut);
         if count < 2 * TERMS {
-            return Self::circle(radius);
+            return Self { grain, ..Self::circle(radius) };
         }
         // Holds what the vertices leave open (a single ring says nothing of the slope).
         for i in 1..TERMS {
             normal[(i, i)] += 5e-4 * count as f64;
         }
-        let Some(cholesky) = normal.cholesky() else { return Self::circle(radius) };
+        let Some(cholesky) = normal.cholesky() else { return Self { grain, ..Self::circle(radius) } };
         let fit = cholesky.solve(&right);
-        Self { mean: fit[0], ellipse: [fit[3], fit[4]], slope: fit[5] / radius }
+        Self { mean: fit[0], ellipse: [fit[3], fit[4]], slope: fit[5] / radius, grain }
     }
 
     /// Weighted mean of neighbouring shapes (their frames do not spin).
@@ -90,6 +94,7 @@ impl WallShape {
             sum.ellipse[0] += weight * shape.ellipse[0];
             sum.ellipse[1] += weight * shape.ellipse[1];
             sum.slope += weight * shape.slope;
+            sum.grain += weight * shape.grain;
             total += weight;
         }
         let scale = if total > 0.0 { 1.0 / total } else { 0.0 };
@@ -97,6 +102,7 @@ impl WallShape {
             mean: sum.mean * scale,
             ellipse: sum.ellipse.map(|term| term * scale),
             slope: sum.slope * scale,
+            grain: sum.grain * scale,
         }
     }
 
@@ -105,4 +111,14 @@ impl WallShape {
         self.ellipse[1] = -self.ellipse[1];
         self.slope = -self.slope;
     }
+}
+
+/// Mean extent of the section's triangles along its normal.
+fn grain(surface: &Surface, cut: &Section) -> f64 {
+    let extent = |&t: &u32| {
+        let along = surface.mesh.triangles[t as usize]
+            .map(|v| (surface.mesh.vertices[v as usize] - cut.frame.origin).dot(&cut.frame.t));
+        along.iter().fold(f64::MIN, |a, &b| a.max(b)) - along.iter().fold(f64::MAX, |a, &b| a.min(b))
+    };
+    cut.triangles.iter().map(extent).sum::<f64>() / cut.triangles.len().max(1) as f64
 }

@@ -22,13 +22,15 @@ pub fn choose_stiffness(stations: &[Station]) -> f64 {
     const LADDER: [f64; 6] = [0.5, 2.0, 8.0, 30.0, FIRM, 600.0];
     /// Fewer sections say nothing of their noise.
     const LEAST: usize = 12;
-    let targets: Vec<Point3<f64>> =
-        stations.iter().filter(|s| s.sight == Sight::Clean).map(|s| s.target).collect();
-    let n = targets.len();
+    let clean: Vec<&Station> = stations.iter().filter(|s| s.sight == Sight::Clean).collect();
+    let n = clean.len();
     if n < LEAST {
         return FIRM;
     }
+    let targets: Vec<Point3<f64>> = clean.iter().map(|s| s.target).collect();
     let along = abscissa(&targets);
+    let spacing = along[n - 1] / (n - 1) as f64;
+    let grain = clean.iter().map(|s| s.shape.grain).sum::<f64>() / n as f64;
     let weights = vec![Matrix3::identity(); n];
     let score = |stiffness: f64| {
         let fitted = fit_curve(&targets, &weights, &along, |_| stiffness, 0.0);
@@ -41,7 +43,17 @@ pub fn choose_stiffness(stations: &[Station]) -> f64 {
         left / (1.0 - trace / n as f64).powi(2)
     };
     let scored = LADDER.map(|stiffness| (stiffness, score(stiffness)));
-    scored.into_iter().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(FIRM, |(stiffness, _)| stiffness)
+    let best = scored.into_iter().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(FIRM, |(stiffness, _)| stiffness);
+    best.max(least_stiffness(grain / spacing))
+}
+
+/// The stiffness that halves waves of [`WAVE`] triangles, `grain` stations each: sections that cut the
+/// same triangles err alike, which cross-validation takes for shape.
+fn least_stiffness(grain: f64) -> f64 {
+    /// Length of the shortest wave that triangles can show.
+    const WAVE: f64 = 6.0;
+    let angle = (std::f64::consts::PI / (WAVE * grain).max(2.0)).sin();
+    (2.0 * angle).powi(-6).min(FIRM)
 }
 
 /// Per third difference: the branch's own stiffness among clean sections, firm where others take part.
