@@ -201,9 +201,12 @@ fn keep_ring_centres(stations: &mut [Station]) {
     }
 }
 
-/// Walks on from the last station while sections stay clean: toward a cap (`to_end`) or into a joint.
+/// Walks on from the last station while sections stay clean: toward a cap (`to_end`) or into a joint,
+/// past which the vessel beyond may look like the branch's own.
 pub fn march(surface: &Surface, track: &mut Track, to_end: bool) {
     const LIMIT: usize = 400;
+    /// How far past the last ring a joint may be entered, in radii.
+    const PAST: f64 = 1.5;
     let mut step = SPACING;
     for _ in 0..LIMIT {
         let points: Vec<_> = track.stations.iter().map(|s| s.point).collect();
@@ -217,6 +220,10 @@ pub fn march(surface: &Surface, track: &mut Track, to_end: bool) {
         });
         let (point, direction) = end.at(step * radius);
         let tangent = nalgebra::Unit::new_normalize(direction);
+        let past = track.rings.last().map_or(0.0, |ring| (point - ring.centroid).dot(&tangent));
+        if !to_end && past > PAST * radius {
+            break;
+        }
         let frame = Frame::new(point, tangent, last.frame.u);
         let mut station = Station::rough(point, tangent, radius, nearest_ring(&track.rings, &point));
         station.frame = frame;

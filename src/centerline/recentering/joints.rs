@@ -55,7 +55,7 @@ impl Approach {
         let mut s: f64 = 0.0;
         for _ in 0..4 {
             let (point, direction) = self.end.at(s);
-            s = (s + (centre - point).dot(&direction)).clamp(-self.radius, 12.0 * self.radius);
+            s = (s + (centre - point).dot(&direction)).clamp(-3.0 * self.radius, 12.0 * self.radius);
         }
         s
     }

@@ -134,24 +134,31 @@ fn median_radius(rings: &[LevelSet]) -> f64 {
     radii.get(radii.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// The vertices of the triangles around an end that face outward, connected to its vertex.
+/// The vertices of the end: what lies around its cap down to half a radius below the tip, and
+/// triangles that face outward beside it, connected to its vertex.
+///
+/// A front that starts there leaves it as one ring square to the vessel, however rough the cap is.
 fn cap_around(surface: &Surface, end: &End) -> Vec<bool> {
     /// Cosine of the widest angle between a cap's normal and the vessel's direction.
     const FACING: f64 = 0.7;
+    /// Depth of the end, and how far from the tip it may reach, in radii.
+    const DEPTH: f64 = 0.5;
+    const NEAR: f64 = 2.5;
     let corners = &surface.corners;
     let tip = surface.mesh.vertices[end.vertex as usize];
     let mut cap = vec![false; surface.mesh.vertices.len()];
     cap[end.vertex as usize] = true;
-    let faces_out = |t: u32| {
+    let belongs = |t: u32| {
         let [a, b, c] = surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize]);
         let normal = (b - a).cross(&(c - a));
-        let near = (a - tip).norm() < 2.5 * end.radius;
-        near && normal.dot(&end.outward) > FACING * normal.norm()
+        let near = (a - tip).norm() < NEAR * end.radius;
+        let high = [a, b, c].iter().all(|p| (tip - p).dot(&end.outward) < DEPTH * end.radius);
+        near && (high || normal.dot(&end.outward) > FACING * normal.norm())
     };
     let mut seen = std::collections::BTreeSet::new();
     let mut queue: Vec<u32> = corners.star(end.vertex).map(|h| h / 3).collect();
     while let Some(t) = queue.pop() {
-        if !seen.insert(t) || !faces_out(t) {
+        if !seen.insert(t) || !belongs(t) {
             continue;
         }
         for h in [3 * t, next(3 * t), next(next(3 * t))] {
