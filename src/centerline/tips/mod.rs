@@ -7,6 +7,7 @@
 
 pub mod critical_points;
 pub mod geodesic;
+mod height;
 pub mod reeb;
 pub mod root;
 pub mod xie_beni;
@@ -18,7 +19,7 @@ use nalgebra::Point3;
 
 use crate::mesh::preparation::Surface;
 
-use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
+use crate::centerline::segmentation::level_sets::LevelSet;
 use crate::centerline::tips::reeb::ReebGraph;
 use crate::centerline::{CancelToken, ExtractError};
 
@@ -150,7 +151,7 @@ impl Pruning<'_> {
                 queue.push(Reverse((height.to_bits(), index)));
                 continue;
             }
-            if !self.stands_out(&arcs, leaf, height, self.sibling_radius(base, &arcs), tip_height) {
+            if !self.stands_out(&arcs, base, leaf, height, tip_height) {
                 arcs.iter().for_each(|&arc| self.alive[arc as usize] = false);
                 self.doubt(&arcs, leaf, height);
             }
@@ -168,66 +169,6 @@ impl Pruning<'_> {
         if let Some(ring) = ring {
             self.doubtful.push(DoubtfulTip { leaf, base: ring.centroid, radius });
         }
-    }
-
-    /// How far the function rises along an arc.
-    fn span(&self, arc: u32) -> f64 {
-        let arc = &self.graph.arcs[arc as usize];
-        self.graph.nodes[arc.upper as usize].level - self.graph.nodes[arc.lower as usize].level
-    }
-
-    /// Radius of the widest branch that goes on upward beside a leaf.
-    fn sibling_radius(&self, base: u32, leaf: &[u32]) -> f64 {
-        let beside = self.alive_at(base).filter(|arc| !leaf.contains(arc));
-        let upward = beside.filter(|&arc| self.graph.arcs[arc as usize].lower == base);
-        let lengths = upward.map(|arc| self.graph.arcs[arc as usize].base_length);
-        let widest = lengths.fold(0.0, f64::max);
-        if widest > 0.0 { widest / std::f64::consts::TAU } else { f64::INFINITY }
-    }
-
-    /// Whether a leaf is high enough over its base to be a branch; `height` is its rise of distance,
-    /// `beside` the radius of the vessel that it stands on.
-    fn stands_out(&self, arcs: &[u32], leaf: u32, height: f64, beside: f64, tip_height: f64) -> bool {
-        /// Least height in sample distances: what fewer samples show is no shape yet.
-        const SAMPLES: f64 = 3.0;
-        /// Largest hole in a wall, in radii of the vessel.
-        const HOLE: f64 = 0.25;
-        let Some(&base) = arcs.last() else { return false };
-        let base = &self.graph.arcs[base as usize];
-        let radius = base.base_length / std::f64::consts::TAU;
-        let sample = base.base_length / f64::from(base.base_edges.max(1));
-        let least = (tip_height * radius.min(beside)).max(SAMPLES * sample);
-        let tip = self.graph.nodes[leaf as usize].vertex;
-        let opening = self.surface.openings.iter().find(|opening| opening.centre == tip);
-        // The vessel was cut here, however shortly; a small opening straight in the wall is a hole.
-        if opening.is_some_and(|opening| !beside.is_finite() || opening.radius >= HOLE * beside) {
-            return true;
-        }
-        // No straight distance is longer than the geodesic beside it but by the base's width: a cheap look first.
-        height >= 0.5 * least && self.reach(arcs, leaf) >= least
-    }
-
-    /// The level sets along an arc, upward from its lower node.
-    fn rings(&self, arc: u32) -> impl Iterator<Item = LevelSet> + '_ {
-        const LEVELS: usize = 4;
-        let low = self.graph.nodes[self.graph.arcs[arc as usize].lower as usize].level;
-        (0..LEVELS).map(move |i| {
-            let level = low + self.span(arc) * i as f64 / LEVELS as f64;
-            let (mesh, corners) = (&self.surface.mesh, &self.surface.corners);
-            level_set(&mesh.vertices, corners, self.graph, arc as usize, level)
-        })
-    }
-
-    fn position(&self, node: u32) -> Point3<f64> {
-        self.surface.mesh.vertices[self.graph.nodes[node as usize].vertex as usize]
-    }
-
-    /// Greatest distance of the tip or a level set's centre from the centre of the base.
-    fn reach(&self, arcs: &[u32], tip: u32) -> f64 {
-        let mut rings = arcs.iter().rev().flat_map(|&arc| self.rings(arc));
-        let Some(base) = rings.next() else { return 0.0 };
-        let centres = rings.map(|ring| ring.centroid).chain([self.position(tip)]);
-        centres.map(|centre| (centre - base.centroid).norm()).fold(0.0, f64::max)
     }
 
     /// On a surface without ends the root is no tip either: its leaf goes by the same measure.
