@@ -19,6 +19,8 @@ use crate::centerline::segmentation::track::{
 
 /// How far back (radii) the bend of a branch is measured.
 const BEND_REACH: f64 = 3.0;
+/// How far a bend is continued, in radii: farther on nothing is known of it.
+const BENT: f64 = 3.0;
 /// Uncertainty of a continued line: at its start, and per length continued (radii).
 const DOUBT: (f64, f64) = (0.1, 0.2);
 
@@ -50,11 +52,18 @@ impl Approach {
         Some(Self { end, radius, bulge: track.bulge })
     }
 
+    /// The continued line at distance `s` past its start: the branch's bend for a short way, then straight.
+    fn at(&self, s: f64) -> (Point3<f64>, Vector3<f64>) {
+        let bent = s.clamp(-BENT * self.radius, BENT * self.radius);
+        let (point, direction) = self.end.at(bent);
+        (point + direction * (s - bent), direction)
+    }
+
     /// Parameter of the point on the continued line nearest to `centre`, not behind its start.
     fn nearest(&self, centre: &Point3<f64>) -> f64 {
         let mut s: f64 = 0.0;
         for _ in 0..4 {
-            let (point, direction) = self.end.at(s);
+            let (point, direction) = self.at(s);
             s = (s + (centre - point).dot(&direction)).clamp(-3.0 * self.radius, 12.0 * self.radius);
         }
         s
@@ -87,7 +96,7 @@ pub fn joint_centre(approaches: &[Approach], prior: &Point3<f64>) -> Point3<f64>
                 continue;
             }
             let s = approach.nearest(&centre);
-            let (point, direction) = approach.end.at(s);
+            let (point, direction) = approach.at(s);
             let doubt = DOUBT.0 * approach.radius + DOUBT.1 * s.max(0.0);
             let across = (Matrix3::identity() - direction * direction.transpose()) / (doubt * doubt);
             normal += across;
@@ -130,7 +139,7 @@ pub fn run_to_centre(surface: &Surface, track: &mut Track, centre: &Point3<f64>,
     let start = best_guess(last);
     let distance = (centre - start).norm();
     let count = ((distance / (SPACING * radius)).round() as usize).clamp(1, 64);
-    let (_, arrival) = approach.end.at(distance);
+    let (_, arrival) = approach.at(distance);
     let handles = [start + approach.end.tangent * (distance / 3.0), centre - arrival * (distance / 3.0)];
     for i in 1..count {
         let (point, direction) = bezier(&[start, handles[0], handles[1], *centre], i as f64 / count as f64);
