@@ -12,7 +12,8 @@ use crate::centerline::component::ComponentGraph;
 use crate::centerline::connection::network::Network;
 use crate::centerline::connection::subsampling::{Anchor, settle_radii};
 use crate::centerline::cut_plane::bulges::round_bulge;
-use crate::centerline::cut_plane::cross_sections::{judge_outward, march, recut, settle};
+use crate::centerline::cut_plane::cross_sections::{judge_outward, recut, settle};
+use crate::centerline::cut_plane::march::{Toward, fill_gaps, march};
 use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, smooth, smooth_ring};
 use crate::centerline::recentering::ends::{end_point, far_wall};
 use crate::centerline::recentering::joints::{Approach, joint_centre, run_to_centre};
@@ -115,9 +116,11 @@ fn cut_planes(
         settle(surface, track);
         control.cancel.check()?;
         let trusted = judge_outward(surface, track);
-        march(surface, track, to_tip.is_some());
+        let toward = |tip: Option<f64>| if tip.is_some() { Toward::Cap } else { Toward::Joint };
+        fill_gaps(surface, track);
+        march(surface, track, toward(to_tip));
         track.reverse();
-        march(surface, track, from_tip.is_some());
+        march(surface, track, toward(from_tip));
         track.reverse();
         if from_tip.is_some() != to_tip.is_some() {
             round_bulge(surface, track, from_tip.is_some());

@@ -4,17 +4,15 @@
 //! in turns until both agree: far less noisy than one plane a vertex, and exact for any tube of
 //! symmetric section.
 
-use nalgebra::{Matrix3, Point2, Point3};
+use nalgebra::{Matrix3, Point3};
 
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::cut_plane::section::{Frame, Profile, Section};
 use crate::centerline::cut_plane::wall_fit::{accept_clean, judge, judge_end};
-use crate::centerline::laplacian_smoothing::curve_fit::{CurveEnd, fit_curve};
+use crate::centerline::laplacian_smoothing::curve_fit::fit_curve;
 use crate::centerline::segmentation::level_sets::LevelSet;
-use crate::centerline::segmentation::track::{
-    SPACING, Sight, Station, Track, section_from_rings, update_tangents,
-};
+use crate::centerline::segmentation::track::{Sight, Station, Track, section_from_rings, update_tangents};
 
 /// Rounds of cutting and moving before sections are judged.
 const SETTLING: usize = 3;
@@ -22,6 +20,9 @@ const SETTLING: usize = 3;
 const LIGHT: f64 = 1.0;
 /// A section rounder than this (largest over smallest distance) may be the first to be trusted.
 const ROUND: f64 = 1.6;
+
+/// Share of a section's length that must be wall far from all ends.
+pub const MOSTLY_WALL: f64 = 0.7;
 
 /// The rings nearest to the one of number `hint`, itself first.
 pub fn rings_near(rings: &[LevelSet], hint: usize) -> impl Iterator<Item = &LevelSet> {
@@ -36,7 +37,7 @@ pub fn rings_near(rings: &[LevelSet], hint: usize) -> impl Iterator<Item = &Leve
 }
 
 /// Number of the ring whose centre is nearest to a point.
-fn nearest_ring(rings: &[LevelSet], point: &Point3<f64>) -> usize {
+pub fn nearest_ring(rings: &[LevelSet], point: &Point3<f64>) -> usize {
     let distance = |ring: &LevelSet| (ring.centroid - point).norm_squared();
     (0..rings.len()).min_by(|&a, &b| distance(&rings[a]).total_cmp(&distance(&rings[b]))).unwrap_or(0)
 }
@@ -144,7 +145,7 @@ fn judge_way(
         if stations[i].sight != Sight::Clean && inner[i] && is_one_vessel(&cut, &expected) {
             let own = Profile::circle(cut.measure().radius());
             let expected = if misses < PATIENCE { &expected } else { &own };
-            judge_end(surface, &mut stations[i], &cut, expected);
+            judge_end(surface, &mut stations[i], &cut, expected, MOSTLY_WALL);
         }
         if stations[i].sight == Sight::Clean {
             expected.blend(&stations[i].profile, if misses < PATIENCE { 0.5 } else { 1.0 });
@@ -157,7 +158,7 @@ fn judge_way(
 
 /// Whether a section is no figure of two vessels side by side: those are larger than what was expected,
 /// and long.
-fn is_one_vessel(cut: &Section, expected: &Profile) -> bool {
+pub fn is_one_vessel(cut: &Section, expected: &Profile) -> bool {
     const GROWTH: f64 = 1.12;
     let measure = cut.measure();
     let round = || Profile::of(cut, &measure.centroid, measure.radius()).roundness() < ROUND;
@@ -199,55 +200,6 @@ fn keep_ring_centres(stations: &mut [Station]) {
         station.target = station.point;
         station.weight = Matrix3::identity() * 0.2;
     }
-}
-
-/// Walks on from the last station while sections stay clean: toward a cap (`to_end`) or into a joint,
-/// past which the vessel beyond may look like the branch's own.
-pub fn march(surface: &Surface, track: &mut Track, to_end: bool) {
-    const LIMIT: usize = 400;
-    /// How far past the last ring a joint may be entered, in radii.
-    const PAST: f64 = 1.5;
-    let mut step = SPACING;
-    for _ in 0..LIMIT {
-        let points: Vec<_> = track.stations.iter().map(|s| s.point).collect();
-        let Some(last) = track.stations.last() else { return };
-        let radius = last.section_radius;
-        let end = CurveEnd::of(&points, 3.0 * radius);
-        let end = end.unwrap_or(CurveEnd {
-            point: last.point,
-            tangent: *last.tangent,
-            curvature: nalgebra::zero(),
-        });
-        let (point, direction) = end.at(step * radius);
-        let tangent = nalgebra::Unit::new_normalize(direction);
-        let past = track.rings.last().map_or(0.0, |ring| (point - ring.centroid).dot(&tangent));
-        if !to_end && past > PAST * radius {
-            break;
-        }
-        let frame = Frame::new(point, tangent, last.frame.u);
-        let mut station = Station::rough(point, tangent, radius, nearest_ring(&track.rings, &point));
-        station.frame = frame;
-        let cut = section_from_rings(surface, frame, rings_near(&track.rings, station.ring));
-        let profile: Profile = last.profile.clone();
-        if let Some(cut) = cut
-            && cut.encloses(&Point2::origin())
-        {
-            if to_end {
-                judge_end(surface, &mut station, &cut, &profile);
-            } else {
-                judge(surface, &mut station, &cut, &profile);
-            }
-        }
-        if station.sight == Sight::Clean && (station.target - point).norm() < 0.5 * radius {
-            station.point = station.target;
-            track.stations.push(station);
-        } else if step > 0.15 {
-            step *= 0.5;
-        } else {
-            break;
-        }
-    }
-    update_tangents(&mut track.stations);
 }
 
 /// Cuts the clean stations anew after the line moved, each expecting its own wall.

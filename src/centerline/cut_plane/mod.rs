@@ -2,6 +2,7 @@
 
 pub mod bulges;
 pub mod cross_sections;
+pub mod march;
 pub mod normal_lines;
 pub mod section;
 pub mod wall_fit;

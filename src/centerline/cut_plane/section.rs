@@ -50,6 +50,9 @@ pub fn any_perpendicular(t: Vector3<f64>) -> Vector3<f64> {
     (axis - t * t.dot(&axis)).normalize()
 }
 
+/// How many triangles a station keeps of its section.
+pub const SEEDS: usize = 6;
+
 /// A closed polygon on the surface in one plane.
 #[derive(Debug, Clone)]
 pub struct Section {
@@ -107,7 +110,39 @@ pub fn section(surface: &Surface, frame: Frame, seed: u32) -> Option<Section> {
     }
 }
 
+/// Walks over the surface from triangle `from` straight toward the plane of `frame`, and returns the
+/// first triangle that crosses it. `None` where the surface turns away before.
+pub fn walk_to_plane(surface: &Surface, frame: &Frame, from: u32) -> Option<u32> {
+    const LIMIT: usize = 1000;
+    let side = |v: u32| (surface.mesh.vertices[v as usize] - frame.origin).dot(&frame.t);
+    let corners = &surface.corners;
+    let mut t = from;
+    let mut least = f64::INFINITY;
+    for _ in 0..LIMIT {
+        let sides = surface.mesh.triangles[t as usize].map(side);
+        let (low, high) =
+            (sides.iter().fold(f64::MAX, |a, &b| a.min(b)), sides.iter().fold(f64::MIN, |a, &b| a.max(b)));
+        if low < 0.0 && high >= 0.0 {
+            return Some(t);
+        }
+        // Leave over the side whose ends are nearest to the plane.
+        let gap = |h: u32| side(corners.origin(h)).abs() + side(corners.target(h)).abs();
+        let nearest = (3 * t..3 * t + 3).min_by(|&a, &b| gap(a).total_cmp(&gap(b)))?;
+        if gap(nearest) >= least {
+            return None;
+        }
+        least = gap(nearest);
+        t = corners.opposite(nearest) / 3;
+    }
+    None
+}
+
 impl Section {
+    /// A few of its triangles, evenly around.
+    pub fn seeds(&self) -> [u32; SEEDS] {
+        std::array::from_fn(|i| self.triangles[i * self.triangles.len() / SEEDS])
+    }
+
     /// Area and centroid of the polygon (Green's theorem).
     pub fn measure(&self) -> SectionMeasure {
         let Some(&base) = self.points.first() else {

@@ -88,10 +88,8 @@ pub fn judge(surface: &Surface, station: &mut Station, cut: &Section, expected: 
 }
 
 /// Judges a station near an end, where no other branch can take part: a section counts as long as
-/// most of it is wall and not cap.
-pub fn judge_end(surface: &Surface, station: &mut Station, cut: &Section, expected: &Profile) {
-    /// Share of the section's length that must be wall.
-    const WALL: f64 = 0.7;
+/// `share` of its length is wall and not cap.
+pub fn judge_end(surface: &Surface, station: &mut Station, cut: &Section, expected: &Profile, share: f64) {
     const GROWTH: std::ops::Range<f64> = 0.6..1.5;
     let measure = cut.measure();
     let (mut wall, mut all) = (0.0, 0.0);
@@ -103,7 +101,7 @@ pub fn judge_end(surface: &Surface, station: &mut Station, cut: &Section, expect
         }
     }
     let sound = measure.area > 0.0 && cut.encloses(&measure.centroid);
-    if sound && wall > WALL * all && GROWTH.contains(&(measure.radius() / expected.mean())) {
+    if sound && wall > share * all && GROWTH.contains(&(measure.radius() / expected.mean())) {
         accept_clean(surface, station, cut, measure.centroid, measure.radius());
     }
 }
@@ -117,6 +115,7 @@ pub fn accept_clean(
     radius: f64,
 ) {
     station.frame = cut.frame;
+    station.seeds = Some(cut.seeds());
     station.profile = Profile::of(cut, &centroid, radius);
     station.target = cut.frame.lift(&centroid);
     station.weight = Matrix3::identity();

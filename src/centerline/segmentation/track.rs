@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Point3, Unit, Vector3};
 
 use crate::mesh::preparation::Surface;
 
-use crate::centerline::cut_plane::section::{Frame, Profile, Section, section};
+use crate::centerline::cut_plane::section::{Frame, Profile, SEEDS, Section, section, walk_to_plane};
 use crate::centerline::cut_plane::wall_shape::WallShape;
 use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
 use crate::centerline::tips::Chain;
@@ -43,6 +43,8 @@ pub struct Station {
     pub profile: Profile,
     /// Number of a ring of its track close by.
     pub ring: usize,
+    /// Triangles of its last clean section: the next section lies a short walk from them.
+    pub seeds: Option<[u32; SEEDS]>,
     pub frame: Frame,
 }
 
@@ -60,6 +62,7 @@ impl Station {
             sight: Sight::Lost,
             profile: Profile::circle(radius),
             ring,
+            seeds: None,
             frame: Frame::new(point, tangent, Vector3::x()),
         }
     }
@@ -110,17 +113,33 @@ pub fn rings(surface: &Surface, graph: &ReebGraph, chain: &Chain) -> Vec<LevelSe
     all
 }
 
-/// Stations at the rings' centres.
+/// Stations at the rings' centres, and between rings that lie far apart: where fronts meet, they run
+/// aslant and their centres jump.
 pub fn stations_of(rings: &[LevelSet]) -> Vec<Station> {
-    let points: Vec<Point3<f64>> = rings.iter().map(|ring| ring.centroid).collect();
+    /// Distance between stations that is too far, in radii.
+    const FAR: f64 = 2.0 * SPACING;
+    let mut places: Vec<(Point3<f64>, usize)> = Vec::with_capacity(rings.len());
+    for (i, ring) in rings.iter().enumerate() {
+        if let Some(before) = i.checked_sub(1).map(|i| &rings[i]) {
+            let step = ring.centroid - before.centroid;
+            let count = (step.norm() / (FAR * before.radius().min(ring.radius()))).floor().min(16.0) as usize;
+            for k in 1..=count {
+                let share = k as f64 / (count + 1) as f64;
+                places.push((before.centroid + step * share, if share < 0.5 { i - 1 } else { i }));
+            }
+        }
+        places.push((ring.centroid, i));
+    }
+    let points: Vec<Point3<f64>> = places.iter().map(|place| place.0).collect();
     let tangents = tangents(&points);
-    let rough = |(i, ring): (usize, &LevelSet)| {
-        let station = Station::rough(points[i], tangents[i], ring.radius(), i);
+    let rough = |(&(point, number), &tangent): (&(Point3<f64>, usize), &Unit<Vector3<f64>>)| {
+        let ring = &rings[number];
+        let station = Station::rough(point, tangent, ring.radius(), number);
         // A profile's bins start at the frame's `u`: it must turn with the surface, not stay with the axes.
-        let like = ring.points.first().map_or(station.frame.u, |p| p - points[i]);
-        Station { frame: Frame::new(points[i], tangents[i], like), ..station }
+        let like = ring.points.first().map_or(station.frame.u, |p| p - point);
+        Station { frame: Frame::new(point, tangent, like), ..station }
     };
-    rings.iter().enumerate().map(rough).collect()
+    places.iter().zip(&tangents).map(rough).collect()
 }
 
 /// Unit tangents of a polyline by central differences.
@@ -139,6 +158,21 @@ pub fn update_tangents(stations: &mut [Station]) {
     for (i, station) in stations.iter_mut().enumerate() {
         station.tangent = tangent(&points, i).unwrap_or(station.tangent);
     }
+}
+
+/// The section around `frame.origin` a short walk from a neighbour's; `None` where none encloses it.
+pub fn section_from_seeds(surface: &Surface, frame: Frame, seeds: &[u32]) -> Option<Section> {
+    let origin = nalgebra::Point2::origin();
+    for &seed in seeds {
+        let cut = walk_to_plane(surface, &frame, seed).and_then(|t| section(surface, frame, t));
+        if let Some(cut) = cut
+            && cut.encloses(&origin)
+            && cut.measure().area > 0.0
+        {
+            return Some(cut);
+        }
+    }
+    None
 }
 
 /// The section around `frame.origin` that one of `rings` leads to: rings are closed curves around

@@ -3,8 +3,6 @@
 //! A front that starts at one vertex of a wide end's rim, or enters a wide vessel from a thin side
 //! branch, runs aslant there and hides short trunks; one that starts from a whole cap does not.
 
-use std::cmp::Ordering;
-
 use nalgebra::Vector3;
 
 use crate::mesh::corner_table::next;
@@ -32,17 +30,20 @@ struct End {
     short: bool,
 }
 
-/// The ends that distances may be taken from, the best first: the widest one that is long, then the
-/// others that are nearly as wide as the widest of all. None when no chain has an end.
+/// The ends that distances may be taken from, the best first: wide and long ones before short ones, of
+/// those only what is nearly as wide as the widest of all. None when no chain has an end.
 pub fn roots(surface: &Surface, graph: &ReebGraph, branching: &Branching) -> Vec<Root> {
     /// Least radius against the widest.
     const WIDE: f64 = 0.6;
+    /// A long end is better than a short one up to so many times as wide: that may be a sac.
+    const LONG: f64 = 2.0;
     /// Each costs a geodesic and a Reeb graph.
     const MOST: usize = 3;
     let mut ends = chain_ends(surface, graph, &branching.chains);
     ends.extend(branching.doubtful.iter().filter_map(|tip| doubtful_end(surface, graph, tip)));
     let widest = ends.iter().map(|end| end.radius).fold(0.0, f64::max);
-    ends.sort_by(|a, b| (a.short, b.radius).partial_cmp(&(b.short, a.radius)).unwrap_or(Ordering::Equal));
+    let worth = |end: &End| if end.short { end.radius } else { LONG * end.radius };
+    ends.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
     let first = ends.first().map(|end| end.vertex);
     let candidates = ends.iter().filter(|end| Some(end.vertex) == first || end.radius >= WIDE * widest);
     // Past a wide and long end only short ones that are wider still may have hidden something.
