@@ -69,6 +69,22 @@ fn plane_normal(surface: &Surface, cut: &Section, t: u32) -> Option<(Vector2<f64
     Some((flat, normal.dot(&cut.frame.t).abs()))
 }
 
+/// Whether a section lies square to its wall, by the axis that the wall's normals leave free (eq. 9): one
+/// that lies aslant over a cap may look as round as any.
+fn is_square(surface: &Surface, cut: &Section) -> bool {
+    /// Cosine of the most that the section may lean.
+    const LEAN: f64 = 0.8;
+    let mut covariance = Matrix3::zeros();
+    for (p, q, t) in cut.sides() {
+        let [a, b, c] = surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize]);
+        let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) else { continue };
+        covariance += normal * normal.transpose() * (q - p).norm();
+    }
+    let eigen = covariance.symmetric_eigen();
+    let axis = eigen.eigenvectors.column(eigen.eigenvalues.imin());
+    axis.dot(&cut.frame.t).abs() > LEAN
+}
+
 /// Judges a station by its section, expecting the wall `expected` of its neighbour.
 ///
 /// Sets target, weight, radii, profile and sight. `expected` is in the section's frame.
@@ -79,7 +95,7 @@ pub fn judge(surface: &Surface, station: &mut Station, cut: &Section, expected: 
     let growth = measure.radius() / mean;
     if sound && (1.0 - GATE..1.0 + GATE).contains(&growth) {
         let seen = agreement(surface, cut, measure.centroid, &expected.scaled(growth), GATE);
-        if seen.support >= CLEAN {
+        if seen.support >= CLEAN && is_square(surface, cut) {
             accept_clean(surface, station, cut, measure.centroid, measure.radius());
             return;
         }
@@ -101,7 +117,8 @@ pub fn judge_end(surface: &Surface, station: &mut Station, cut: &Section, expect
         }
     }
     let sound = measure.area > 0.0 && cut.encloses(&measure.centroid);
-    if sound && wall > share * all && GROWTH.contains(&(measure.radius() / expected.mean())) {
+    let grown = GROWTH.contains(&(measure.radius() / expected.mean()));
+    if sound && wall > share * all && grown && is_square(surface, cut) {
         accept_clean(surface, station, cut, measure.centroid, measure.radius());
     }
 }
