@@ -11,7 +11,7 @@ use crate::mesh::preparation::{Opening, Surface};
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::connection::network::Network;
 use crate::centerline::connection::subsampling::{Anchor, settle_radii};
-use crate::centerline::cut_plane::bulges::round_bulge;
+use crate::centerline::cut_plane::bulges::{line_through, round_bulge};
 use crate::centerline::cut_plane::cross_sections::{judge_outward, recut, settle};
 use crate::centerline::cut_plane::march::{Toward, fill_gaps, march};
 use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, smooth, smooth_ring};
@@ -166,7 +166,7 @@ fn reach_ends(surface: &Surface, network: &mut Network, control: &Control<'_>) -
         control.cancel.check()?;
         let [(track, at_end)] = network.incident(node)[..] else { continue };
         // A bulge points away from its joint: its far wall is found once that is known.
-        if network.tracks[track].bulge {
+        if network.tracks[track].bulge.is_some() {
             continue;
         }
         let vertex = network.nodes[node].vertex;
@@ -194,6 +194,9 @@ fn meet_in_joints(
             network.tracks.iter().map(|t| (network.anchor(t.from), network.anchor(t.to))).collect();
         let rings: Vec<bool> = network.tracks.iter().map(|t| network.is_ring(t.from)).collect();
         network.tracks.par_iter_mut().zip(anchors).zip(rings).for_each(|((track, (from, to)), ring)| {
+            if track.bulge.is_some() {
+                return;
+            }
             if ring {
                 smooth_ring(track)
             } else {
@@ -227,10 +230,12 @@ fn meet(surface: &Surface, network: &mut Network, node: usize) {
     network.nodes[node].anchor = Some(Anchor { point: centre, radius });
     for &(index, at_end) in &incident {
         let track = &network.tracks[index];
-        if track.bulge {
+        if let Some(bulge) = &track.bulge {
             let far = if at_end { track.from } else { track.to };
-            let end = far_wall(surface, track, &centre);
-            network.nodes[far].anchor = end.map(|end| Anchor { point: end.point, radius: end.radius });
+            let Some(end) = far_wall(surface, bulge, &centre) else { continue };
+            let stations = line_through(surface, track, &centre, &end.point, !at_end);
+            network.nodes[far].anchor = Some(Anchor { point: end.point, radius: end.radius });
+            network.tracks[index].stations = stations;
         }
     }
     lead_in(surface, network, &incident, &centre);
@@ -246,7 +251,9 @@ fn lead_in(surface: &Surface, network: &mut Network, incident: &[(usize, bool)],
     }
     let rings: Vec<&LevelSet> = pool.iter().collect();
     for &(track, at_end) in incident {
-        network.oriented(track, at_end, |track| run_to_centre(surface, track, centre, &rings));
+        if network.tracks[track].bulge.is_none() {
+            network.oriented(track, at_end, |track| run_to_centre(surface, track, centre, &rings));
+        }
     }
 }
 

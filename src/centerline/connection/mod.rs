@@ -19,7 +19,7 @@ use crate::centerline::control::{Control, Stage};
 use crate::centerline::point_grid::PointGrid;
 use crate::centerline::recentering::ends::{end_point, far_wall};
 use crate::centerline::recentering::joint_collapse::meet;
-use crate::centerline::segmentation::track::{Station, Track, tangents};
+use crate::centerline::segmentation::track::{Bulge, Station, Track, tangents};
 use crate::centerline::tips::Chain;
 use crate::centerline::tips::reeb::ReebGraph;
 
@@ -199,7 +199,9 @@ impl Connection<'_> {
         let end = network.oriented(track, at_end, |track| {
             // Two samples of a sac have no direction worth the name: it runs from the joint through them.
             let few = (1..3).contains(&track.stations.len());
-            let across = joint.filter(|_| few).and_then(|joint| far_wall(self.surface, track, &joint.point));
+            let middle = track.stations.first().filter(|_| few);
+            let sac = middle.map(|s| Bulge { centre: s.point, radius: s.section_radius });
+            let across = joint.zip(sac).and_then(|(joint, sac)| far_wall(self.surface, &sac, &joint.point));
             across.unwrap_or_else(|| end_point(self.surface, track, tip))
         });
         Anchor { point: end.point, radius: end.radius }

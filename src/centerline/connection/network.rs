@@ -43,7 +43,7 @@ impl Network {
             to: number(chain.to),
             rings: Vec::new(),
             stations: Vec::new(),
-            bulge: false,
+            bulge: None,
             stiffness: FIRM,
         };
         let tracks = chains.iter().map(track).collect();

@@ -6,14 +6,15 @@ use nalgebra::{Matrix3, Matrix4, Point3, Unit, Vector3, Vector4};
 
 use crate::mesh::preparation::Surface;
 
-use crate::centerline::cut_plane::section::Frame;
-use crate::centerline::segmentation::track::{Sight, Station, Track};
+use crate::centerline::segmentation::track::{Bulge, SPACING, Sight, Station, Track};
 
 /// A branch whose clean sections reach less far than this (radii) is a bulge.
 const SHORT: f64 = 1.5;
 
-/// Turns the track of a bulge into a single station at the centre of the sphere through its wall.
+/// Finds the sphere of a bulge and drops its stations: its line is drawn once its joint is known.
 pub fn round_bulge(surface: &Surface, track: &mut Track, tip_first: bool) {
+    /// Largest deviation of a sac's wall from its sphere, in radii: the wall of a stump deviates more.
+    const ROUND: f64 = 0.1;
     let clean: Vec<&Station> = track.stations.iter().filter(|s| s.sight == Sight::Clean).collect();
     let length: f64 = clean.windows(2).map(|pair| (pair[1].point - pair[0].point).norm()).sum();
     let widest = track.stations.iter().map(|s| s.section_radius).fold(0.0, f64::max);
@@ -31,18 +32,45 @@ pub fn round_bulge(surface: &Surface, track: &mut Track, tip_first: bool) {
     let Some((centre, radius)) = sphere_through(&points) else { return };
     let base = if tip_first { track.rings.last() } else { track.rings.first() };
     let Some(base) = base else { return };
+    let deviation = |p: &Point3<f64>| ((p - centre).norm() / radius - 1.0).powi(2);
+    let rough = points.iter().map(deviation).sum::<f64>() / points.len() as f64;
     // A sphere much larger than the rings on it means that they lie flat: no dome.
-    if radius > 2.0 * base.radius().max(widest) {
+    if radius > 2.0 * base.radius().max(widest) || rough.sqrt() > ROUND {
         return;
     }
-    let outward = if tip_first { base.centroid - centre } else { centre - base.centroid };
-    let Some(tangent) = Unit::try_new(outward, 0.0) else { return };
-    let mut station = Station::rough(centre, tangent, radius, track.rings.len() / 2);
-    station.frame = Frame::new(centre, tangent, points[0] - centre);
-    station.sight = Sight::Clean;
-    station.weight = Matrix3::identity();
-    track.stations = vec![station];
-    track.bulge = true;
+    track.bulge = Some(Bulge { centre, radius });
+    track.stations = line_through(surface, track, &base.centroid, &centre, !tip_first);
+}
+
+/// Stations of a bulge, straight from its joint to `end`; in reverse where the joint is the track's end.
+///
+/// The radius of each is its distance from the nearest vertex. O(stations x vertices).
+pub fn line_through(
+    surface: &Surface,
+    track: &Track,
+    joint: &Point3<f64>,
+    end: &Point3<f64>,
+    joint_first: bool,
+) -> Vec<Station> {
+    let Some(bulge) = track.bulge else { return track.stations.clone() };
+    let step = end - joint;
+    let Some(outward) = Unit::try_new(step, 0.0) else { return Vec::new() };
+    let count = (step.norm() / (SPACING * bulge.radius)).ceil().clamp(1.0, 64.0) as usize;
+    let at = |i: usize| {
+        let point = joint + step * (i as f64 / count as f64);
+        let near =
+            surface.mesh.vertices.iter().map(|v| (v - point).norm_squared()).fold(f64::INFINITY, f64::min);
+        let tangent = if joint_first { outward } else { -outward };
+        let mut station = Station::rough(point, tangent, near.sqrt(), track.rings.len() / 2);
+        station.sight = Sight::Clean;
+        station.weight = Matrix3::identity();
+        station
+    };
+    let mut stations: Vec<Station> = (1..count).map(at).collect();
+    if !joint_first {
+        stations.reverse();
+    }
+    stations
 }
 
 /// Least squares sphere: centre and radius (algebraic fit, about the points' mean).

@@ -4,12 +4,12 @@
 //! in turns until both agree: far less noisy than one plane a vertex, and exact for any tube of
 //! symmetric section.
 
-use nalgebra::{Matrix3, Point3};
+use nalgebra::{Matrix3, Point3, Unit};
 
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::cut_plane::section::{Frame, Profile, Section};
-use crate::centerline::cut_plane::wall_fit::{accept_clean, judge, judge_end};
+use crate::centerline::cut_plane::wall_fit::{accept_clean, judge, judge_end, wall_axis};
 use crate::centerline::laplacian_smoothing::curve_fit::fit_curve;
 use crate::centerline::segmentation::level_sets::LevelSet;
 use crate::centerline::segmentation::track::{Sight, Station, Track, section_from_rings, update_tangents};
@@ -116,7 +116,27 @@ pub fn judge_outward(surface: &Surface, track: &mut Track) -> bool {
         }
     }
     update_tangents(stations);
+    if let [alone] = &mut stations[..] {
+        straighten(surface, rings, alone);
+    }
     trusted
+}
+
+/// Turns the section of a station without neighbours square to its wall: the paper's optimal cut plane.
+fn straighten(surface: &Surface, rings: &[LevelSet], station: &mut Station) {
+    const ROUNDS: usize = 4;
+    for _ in 0..ROUNDS {
+        let frame = Frame::new(station.point, station.tangent, station.frame.u);
+        let Some(cut) = section_from_rings(surface, frame, rings_near(rings, station.ring)) else { return };
+        let measure = cut.measure();
+        if !cut.encloses(&measure.centroid) {
+            return;
+        }
+        let Some(axis) = Unit::try_new(wall_axis(surface, &cut), 0.0) else { return };
+        accept_clean(surface, station, &cut, measure.centroid, measure.radius());
+        station.point = station.target;
+        station.tangent = axis;
+    }
 }
 
 /// Judges the stations of one way outward from `middle`, each by the wall of those before it.

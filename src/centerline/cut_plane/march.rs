@@ -38,7 +38,7 @@ pub fn march(surface: &Surface, track: &mut Track, toward: Toward) {
         let Some(last) = track.stations.last() else { return };
         let radius = last.section_radius;
         let (point, tangent) = continued(&track.stations, last, step * radius);
-        if is_past(track, &toward, &point, &tangent, radius) {
+        if is_past(track, &toward, last, &point, &tangent) {
             break;
         }
         let station = look(surface, track, last, point, tangent, &toward);
@@ -69,20 +69,24 @@ fn continued(stations: &[Station], last: &Station, step: f64) -> (Point3<f64>, U
 fn is_past(
     track: &Track,
     toward: &Toward,
+    last: &Station,
     point: &Point3<f64>,
     tangent: &nalgebra::Vector3<f64>,
-    radius: f64,
 ) -> bool {
     /// How far past its last ring a branch may enter a joint, in radii: the vessel beyond may look like
     /// its own.
     const PAST: f64 = 1.5;
+    let radius = last.section_radius;
     match toward {
         Toward::Cap => false,
         Toward::Joint => {
             let past = track.rings.last().map_or(0.0, |ring| (point - ring.centroid).dot(tangent));
             past > PAST * radius
         }
-        Toward::Station(next) => (next - point).dot(tangent) < 0.5 * SPACING * radius,
+        Toward::Station(next) => {
+            let away = (next - point).norm() >= (next - last.point).norm();
+            away || (next - point).dot(tangent) < 0.5 * SPACING * radius
+        }
     }
 }
 

@@ -4,7 +4,7 @@
 
 use std::f64::consts::TAU;
 
-use nalgebra::{Matrix2, Matrix3, Point2, Vector2};
+use nalgebra::{Matrix2, Matrix3, Point2, Vector2, Vector3};
 
 use crate::mesh::preparation::Surface;
 
@@ -69,11 +69,16 @@ fn plane_normal(surface: &Surface, cut: &Section, t: u32) -> Option<(Vector2<f64
     Some((flat, normal.dot(&cut.frame.t).abs()))
 }
 
-/// Whether a section lies square to its wall, by the axis that the wall's normals leave free (eq. 9): one
-/// that lies aslant over a cap may look as round as any.
+/// Whether a section lies square to its wall: one that lies aslant over a cap may look as round as any.
 fn is_square(surface: &Surface, cut: &Section) -> bool {
     /// Cosine of the most that the section may lean.
     const LEAN: f64 = 0.8;
+    wall_axis(surface, cut).dot(&cut.frame.t) > LEAN
+}
+
+/// The direction that the wall's normals around a section leave free: the eigenvector of least
+/// eigenvalue of their covariance (eq. 9), on the side of the section's normal.
+pub fn wall_axis(surface: &Surface, cut: &Section) -> Vector3<f64> {
     let mut covariance = Matrix3::zeros();
     for (p, q, t) in cut.sides() {
         let [a, b, c] = surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize]);
@@ -81,8 +86,8 @@ fn is_square(surface: &Surface, cut: &Section) -> bool {
         covariance += normal * normal.transpose() * (q - p).norm();
     }
     let eigen = covariance.symmetric_eigen();
-    let axis = eigen.eigenvectors.column(eigen.eigenvalues.imin());
-    axis.dot(&cut.frame.t).abs() > LEAN
+    let axis: Vector3<f64> = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into();
+    if axis.dot(&cut.frame.t) < 0.0 { -axis } else { axis }
 }
 
 /// Judges a station by its section, expecting the wall `expected` of its neighbour.

@@ -5,7 +5,7 @@ use nalgebra::{Point3, Vector3};
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
-use crate::centerline::segmentation::track::Track;
+use crate::centerline::segmentation::track::{Bulge, Track};
 
 /// Where the line of a track, continued past its last station, meets the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,12 +43,11 @@ pub fn end_point(surface: &Surface, track: &Track, tip: u32) -> EndPoint {
 }
 
 /// The far wall of a bulge, seen from its joint through its middle.
-pub fn far_wall(surface: &Surface, track: &Track, joint: &Point3<f64>) -> Option<EndPoint> {
-    let middle = track.stations.first()?;
-    let direction = (middle.point - joint).try_normalize(0.0)?;
-    let (distance, _) = first_hit(surface, &middle.point, &direction)?;
-    let distance = distance.min(2.0 * middle.section_radius);
-    Some(EndPoint { point: middle.point + direction * distance, radius: 0.05 * middle.radius })
+pub fn far_wall(surface: &Surface, bulge: &Bulge, joint: &Point3<f64>) -> Option<EndPoint> {
+    let direction = (bulge.centre - joint).try_normalize(0.0)?;
+    let (distance, _) = first_hit(surface, &bulge.centre, &direction)?;
+    let distance = distance.min(2.0 * bulge.radius);
+    Some(EndPoint { point: bulge.centre + direction * distance, radius: 0.05 * bulge.radius })
 }
 
 /// Radius continued by `distance` from the slope over the last radius of length, never below a

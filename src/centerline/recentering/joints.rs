@@ -14,7 +14,7 @@ use crate::centerline::cut_plane::wall_fit::judge;
 use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
 use crate::centerline::segmentation::level_sets::LevelSet;
 use crate::centerline::segmentation::track::{
-    SPACING, Sight, Station, Track, section_from_rings, update_tangents,
+    Bulge, SPACING, Sight, Station, Track, section_from_rings, update_tangents,
 };
 
 /// How far back (radii) the bend of a branch is measured.
@@ -37,6 +37,10 @@ pub struct Approach {
 impl Approach {
     /// The line at the end of a track, from the stations that see their wall.
     pub fn of(track: &Track) -> Option<Self> {
+        if let Some(Bulge { centre, radius }) = track.bulge {
+            let end = CurveEnd { point: centre, tangent: Vector3::zeros(), curvature: Vector3::zeros() };
+            return Some(Self { end, radius, bulge: true });
+        }
         let last = track.stations.iter().rposition(seen_well)?;
         let station = &track.stations[last];
         let points: Vec<Point3<f64>> = track.stations[..=last].iter().map(best_guess).collect();
@@ -49,7 +53,7 @@ impl Approach {
         // A bend tighter than this is noise of a short run.
         let bend = end.curvature.norm() * radius;
         end.curvature *= 0.8 * (0.2 / bend.max(0.2));
-        Some(Self { end, radius, bulge: track.bulge })
+        Some(Self { end, radius, bulge: false })
     }
 
     /// The continued line at distance `s` past its start: the branch's bend for a short way, then straight.

@@ -68,6 +68,13 @@ impl Station {
     }
 }
 
+/// A sac that shows no section of its own: the sphere through its wall.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bulge {
+    pub centre: Point3<f64>,
+    pub radius: f64,
+}
+
 /// One branch: stations in order from `from` to `to`.
 #[derive(Debug, Clone)]
 pub struct Track {
@@ -77,8 +84,8 @@ pub struct Track {
     /// Level sets along it, in the same direction.
     pub rings: Vec<LevelSet>,
     pub stations: Vec<Station>,
-    /// A sac or stump: one station, in the middle of its dome.
-    pub bulge: bool,
+    /// Set for a sac: the sphere through its wall.
+    pub bulge: Option<Bulge>,
     /// How stiffly its line is smoothed (see [`crate::centerline::laplacian_smoothing::branch`]).
     pub stiffness: f64,
 }
