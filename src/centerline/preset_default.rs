@@ -101,6 +101,10 @@ fn cut_planes(
     control: &Control<'_>,
 ) -> Result<Vec<bool>, ExtractError> {
     let tip = |node: usize, reeb: u32| network.is_end(node).then(|| rim_level(surface, graph, reeb));
+    let opens = |reeb: u32| {
+        let vertex = graph.nodes[reeb as usize].vertex;
+        surface.openings.iter().any(|opening| opening.centre == vertex)
+    };
     let ends: Vec<(Option<f64>, Option<f64>)> = network
         .tracks
         .iter()
@@ -122,7 +126,8 @@ fn cut_planes(
         track.reverse();
         march(surface, track, toward(from_tip));
         track.reverse();
-        if from_tip.is_some() != to_tip.is_some() {
+        // An opening is no dome: a stump that was cut runs straight to it.
+        if from_tip.is_some() != to_tip.is_some() && !opens(chain.from) && !opens(chain.to) {
             round_bulge(surface, track, from_tip.is_some());
         }
         Ok(trusted)

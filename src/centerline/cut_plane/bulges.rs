@@ -21,13 +21,6 @@ pub fn round_bulge(surface: &Surface, track: &mut Track, tip_first: bool) {
     if length >= SHORT * widest {
         return;
     }
-    let tip_ring = if tip_first { track.rings.first() } else { track.rings.last() };
-    let opens = |t: &u32| *t as usize >= surface.wall_triangles;
-    if tip_ring.is_some_and(|ring| ring.triangles.iter().all(opens)) {
-        // A stump with an opening: straight to it.
-        track.stations.retain(|s| s.sight == Sight::Clean);
-        return;
-    }
     let points: Vec<Point3<f64>> = track.rings.iter().flat_map(|ring| ring.points.iter().copied()).collect();
     let Some((centre, radius)) = sphere_through(&points) else { return };
     let base = if tip_first { track.rings.last() } else { track.rings.first() };
