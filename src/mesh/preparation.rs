@@ -3,7 +3,7 @@
 //! Every stage after this one may rely on it: each vertex has one fan of triangles, each
 //! half-edge an opposite, normals point out of the lumen, and openings are closed by a cap.
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 
 use super::TriangleMesh;
 use super::corner_table::{CornerTable, NONE, next, previous};
@@ -178,11 +178,8 @@ fn split_components(
     let mut triangle_name = vec![NONE; soup.triangles.len()];
     let mut surfaces = Vec::with_capacity(members.len());
     for triangles in &members {
-        let mut mesh = TriangleMesh::default();
-        for v in toward_the_middle(&soup, triangles) {
-            vertex_name[v as usize] = mesh.vertices.len() as u32;
-            mesh.vertices.push(soup.vertices[v as usize]);
-        }
+        let vertices = walk(&soup, &opposite, triangles, &mut vertex_name);
+        let mut mesh = TriangleMesh { vertices, triangles: Vec::new() };
         mesh.triangles.reserve(triangles.len());
         for (i, &t) in triangles.iter().enumerate() {
             triangle_name[t as usize] = i as u32;
@@ -209,16 +206,38 @@ fn split_components(
     surfaces
 }
 
-/// The vertices of some triangles, by descending distance from the middle of their area.
+/// Names a component's vertices by a walk from its outermost one, breadth first, and returns them in that order.
 ///
-/// Later stages start at vertex 0 and break ties by number: this order knows neither the file's nor the frame
-/// (but for vertices equally far off, in steps wider than the rounding of a frame far away: those keep the
-/// file's order).
-fn toward_the_middle(soup: &TriangleMesh, triangles: &[u32]) -> Vec<u32> {
-    const STEPS: f64 = 1_048_576.0;
+/// Later stages start at vertex 0 and break ties by number: this order knows neither the file's nor the frame.
+fn walk(soup: &TriangleMesh, opposite: &[u32], triangles: &[u32], name: &mut [u32]) -> Vec<Point3<f64>> {
+    let origin = |h: u32| soup.triangles[(h / 3) as usize][(h % 3) as usize];
+    let Some(start) = outermost(soup, triangles) else { return Vec::new() };
+    name[origin(start) as usize] = 0;
+    // For each vertex a half-edge from it: the way back to the one that it was reached from.
+    let mut reached = vec![start];
+    let mut cursor = 0;
+    while cursor < reached.len() {
+        let mut h = reached[cursor];
+        loop {
+            let slot = &mut name[origin(next(h)) as usize];
+            if *slot == NONE {
+                *slot = reached.len() as u32;
+                reached.push(opposite[h as usize]);
+            }
+            h = opposite[previous(h) as usize];
+            if h == reached[cursor] {
+                break;
+            }
+        }
+        cursor += 1;
+    }
+    reached.into_iter().map(|h| soup.vertices[origin(h) as usize]).collect()
+}
+
+/// The half-edge from the vertex farthest from the middle of the surface to its neighbour nearest to there.
+fn outermost(soup: &TriangleMesh, triangles: &[u32]) -> Option<u32> {
     let corners = |t: u32| soup.triangles[t as usize].map(|v| soup.vertices[v as usize]);
-    let Some(&first) = triangles.first() else { return Vec::new() };
-    let [base, ..] = corners(first);
+    let [base, ..] = corners(*triangles.first()?);
     let (mut moment, mut total) = (Vector3::zeros(), 0.0);
     for [a, b, c] in triangles.iter().map(|&t| corners(t)) {
         let twice = (b - a).cross(&(c - a)).norm();
@@ -226,14 +245,17 @@ fn toward_the_middle(soup: &TriangleMesh, triangles: &[u32]) -> Vec<u32> {
         total += twice;
     }
     let middle = if total > 0.0 { base + moment / total } else { base };
-    let mut vertices: Vec<u32> = triangles.iter().flat_map(|&t| soup.triangles[t as usize]).collect();
-    vertices.sort_unstable();
-    vertices.dedup();
-    let distance = |v: u32| (soup.vertices[v as usize] - middle).norm();
-    let farthest = vertices.iter().map(|&v| distance(v)).fold(f64::MIN_POSITIVE, f64::max);
-    let steps = |v: u32| (distance(v) / farthest * STEPS).round() as u32;
-    vertices.sort_by_cached_key(|&v| std::cmp::Reverse(steps(v)));
-    vertices
+    let mut best = (f64::NEG_INFINITY, f64::NEG_INFINITY, NONE);
+    for &t in triangles {
+        let away = corners(t).map(|p| (p - middle).norm_squared());
+        for k in 0..3 {
+            let (from, to) = (away[k], -away[(k + 1) % 3]);
+            if from > best.0 || (from == best.0 && to > best.1) {
+                best = (from, to, 3 * t + k as u32);
+            }
+        }
+    }
+    Some(best.2)
 }
 
 /// Each triangle's component, and each component's triangles in ascending order.
@@ -305,8 +327,6 @@ fn signed_volume(mesh: &TriangleMesh) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Point3;
-
     use super::*;
 
     /// A cube of edge 1, as two triangles a side.
