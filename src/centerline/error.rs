@@ -8,6 +8,12 @@ pub enum ExtractError {
     #[error("all {triangles} triangles have no area; check the unit and the exporter of the mesh")]
     AllDegenerate { triangles: usize },
     #[error(
+        "{count} vertices have a coordinate that is not a finite number (vertex {first}); export the mesh again"
+    )]
+    NotFinite { count: usize, first: String },
+    #[error("{count} triangles name a vertex that is not there (triangle {first}); export the mesh again")]
+    OutOfRange { count: usize, first: String },
+    #[error(
         "the surface is a closed blob without ends or loops ({detail}); a centerline needs a tubular surface"
     )]
     NotTubular { detail: String },
@@ -25,6 +31,8 @@ impl ExtractError {
         match self {
             ExtractError::NoTriangles => "no-triangles",
             ExtractError::AllDegenerate { .. } => "all-degenerate",
+            ExtractError::NotFinite { .. } => "not-finite",
+            ExtractError::OutOfRange { .. } => "out-of-range",
             ExtractError::NotTubular { .. } => "not-tubular",
             ExtractError::Undersampled { .. } => "undersampled",
             ExtractError::NotManifold { .. } => "not-manifold",

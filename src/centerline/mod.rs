@@ -29,7 +29,7 @@ pub use graph::{Branch, Centerline, Extraction, Node, NodeKind, SurfaceSummary, 
 pub use parameters::{ParameterError, ParameterKind, ParameterSpec, Parameters, Preset, TABLE};
 
 use crate::mesh::TriangleMesh;
-use crate::mesh::preparation::{PreparationError, PreparationReport, Prepared, Surface, prepare};
+use crate::mesh::preparation::{PreparationError, PreparationReport, Prepared, Sites, Surface, prepare};
 use component::ComponentGraph;
 
 /// A component smaller than this share of the whole surface's diagonal is a speck of the segmentation.
@@ -116,38 +116,52 @@ fn summary(prepared: &Prepared) -> SurfaceSummary {
     }
 }
 
-/// Repairs that a user should know of, with their counts.
+/// Repairs that a user should know of, with their counts and the numbers of the first.
 fn repair_warnings(report: &PreparationReport) -> Vec<Warning> {
     let found = [
-        ("degenerate-triangles", report.degenerate, "triangles with two equal corners were left out"),
-        ("duplicate-triangles", report.duplicates, "triangles that repeat another were left out"),
+        (
+            "degenerate-triangles",
+            report.degenerate,
+            "triangles with two equal corners were left out",
+            "triangle",
+        ),
+        ("duplicate-triangles", report.duplicates, "triangles that repeat another were left out", "triangle"),
         (
             "flipped-triangles",
             report.matching.flipped,
             "triangles were turned to agree with their neighbours",
-        ),
-        (
-            "inverted-components",
-            report.inverted_components,
-            "components had their normals inward and were turned",
+            "triangle",
         ),
         (
             "non-manifold-edges",
             report.matching.non_manifold_edges,
             "edges have more than two triangles; the surface was taken apart there",
+            "an edge of triangle",
         ),
         (
             "conflicting-edges",
             report.matching.conflicting_edges,
             "edges have no consistent orientation; the surface was cut there",
+            "an edge of triangle",
         ),
-        ("split-vertices", report.split_vertices, "vertices where the surface touches itself were doubled"),
+        (
+            "split-vertices",
+            report.split_vertices,
+            "vertices where the surface touches itself were doubled",
+            "vertex",
+        ),
     ];
-    let warn = |(code, count, text): (&'static str, usize, &str)| Warning {
+    let warn = |(code, sites, text, site): (&'static str, Sites, &str, &str)| Warning {
         code,
-        detail: format!("{count} {text}"),
+        detail: format!("{sites} {text}: {site} {}", sites.list()),
     };
-    found.into_iter().filter(|entry| entry.1 > 0).map(warn).collect()
+    let mut warnings: Vec<Warning> = found.into_iter().filter(|entry| entry.1.count > 0).map(warn).collect();
+    if report.inverted_components > 0 {
+        let detail =
+            format!("{} components had their normals inward and were turned", report.inverted_components);
+        warnings.push(Warning { code: "inverted-components", detail });
+    }
+    warnings
 }
 
 /// Adds a component's graph, its nodes after those already there.
@@ -167,6 +181,12 @@ impl From<PreparationError> for ExtractError {
         match error {
             PreparationError::NoTriangles => ExtractError::NoTriangles,
             PreparationError::AllDegenerate { triangles } => ExtractError::AllDegenerate { triangles },
+            PreparationError::NotFinite(sites) => {
+                ExtractError::NotFinite { count: sites.count, first: sites.list() }
+            }
+            PreparationError::OutOfRange(sites) => {
+                ExtractError::OutOfRange { count: sites.count, first: sites.list() }
+            }
         }
     }
 }

@@ -6,16 +6,17 @@ use nalgebra::Vector3;
 
 use super::TriangleMesh;
 use super::corner_table::{NONE, next};
+use super::sites::Sites;
 
 /// What matching found and mended, for the warnings.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct MatchReport {
     /// Triangles turned to agree with their neighbours.
-    pub flipped: usize,
-    /// Edges with more than two triangles.
-    pub non_manifold_edges: usize,
-    /// Edges where no consistent orientation exists; the surface is cut there.
-    pub conflicting_edges: usize,
+    pub flipped: Sites,
+    /// Edges with more than two triangles, each by one of these.
+    pub non_manifold_edges: Sites,
+    /// Edges where no consistent orientation exists, each by one of its triangles; the surface is cut there.
+    pub conflicting_edges: Sites,
 }
 
 /// The half-edges of every undirected edge, grouped: `members[start[e]..start[e + 1]]`.
@@ -75,7 +76,7 @@ pub fn match_half_edges(mesh: &mut TriangleMesh) -> (Vec<u32>, MatchReport) {
     let groups = EdgeGroups::of(mesh);
     report.flipped = orient(mesh, &groups);
     // Turning triangles renames their half-edges; group anew when any was turned.
-    let groups = if report.flipped > 0 { EdgeGroups::of(mesh) } else { groups };
+    let groups = if report.flipped.count > 0 { EdgeGroups::of(mesh) } else { groups };
     let mut opposite = vec![NONE; 3 * mesh.triangles.len()];
     let mut pair = |a: u32, b: u32| {
         opposite[a as usize] = b;
@@ -85,9 +86,9 @@ pub fn match_half_edges(mesh: &mut TriangleMesh) -> (Vec<u32>, MatchReport) {
         match *group {
             [_] => {}
             [a, b] if origin(mesh, a) != origin(mesh, b) => pair(a, b),
-            [_, _] => report.conflicting_edges += 1,
+            [a, _] => report.conflicting_edges.add(a / 3),
             _ => {
-                report.non_manifold_edges += 1;
+                report.non_manifold_edges.add(group[0] / 3);
                 for (a, b) in pair_by_angle(mesh, group) {
                     pair(a, b);
                 }
@@ -102,7 +103,7 @@ fn origin(mesh: &TriangleMesh, h: u32) -> u32 {
 }
 
 /// Flood-fills orientation over the edges with exactly two triangles; the majority in each patch stays.
-fn orient(mesh: &mut TriangleMesh, groups: &EdgeGroups) -> usize {
+fn orient(mesh: &mut TriangleMesh, groups: &EdgeGroups) -> Sites {
     let count = mesh.triangles.len();
     let mut mate = vec![NONE; 3 * count];
     for group in groups.iter() {
@@ -143,7 +144,8 @@ fn orient(mesh: &mut TriangleMesh, groups: &EdgeGroups) -> usize {
     for &t in &flips {
         mesh.triangles[t as usize].swap(1, 2);
     }
-    flips.len()
+    flips.sort_unstable();
+    flips.into_iter().collect()
 }
 
 /// Pairs the triangles around an edge so that each pair bounds one wedge of the inside.
@@ -205,7 +207,7 @@ mod tests {
         triangles[2].swap(0, 1);
         let mut mesh = TriangleMesh { vertices, triangles };
         let (opposite, report) = match_half_edges(&mut mesh);
-        assert_eq!(report, MatchReport { flipped: 1, ..Default::default() });
+        assert_eq!(report, MatchReport { flipped: [2].into_iter().collect(), ..Default::default() });
         assert!(opposite.iter().all(|&h| h != NONE));
     }
 
@@ -217,7 +219,7 @@ mod tests {
         triangles.extend([[0, 5, 4], [0, 4, 3], [4, 5, 3], [0, 3, 5]]);
         let mut mesh = TriangleMesh { vertices, triangles };
         let (opposite, report) = match_half_edges(&mut mesh);
-        assert_eq!(report.non_manifold_edges, 1);
+        assert_eq!(report.non_manifold_edges.count, 1);
         for (h, &o) in opposite.iter().enumerate() {
             assert_eq!((h / 3) / 4, (o as usize / 3) / 4, "half-edge {h} is paired with the other solid");
         }

@@ -4,8 +4,10 @@ pub mod corner_table;
 pub mod format;
 mod matching;
 pub mod normals;
+mod numbering;
 mod openings;
 pub mod preparation;
+mod sites;
 mod units;
 mod weld;
 

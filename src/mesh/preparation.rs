@@ -3,14 +3,16 @@
 //! Every stage after this one may rely on it: each vertex has one fan of triangles, each
 //! half-edge an opposite, normals point out of the lumen, and openings are closed by a cap.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 
 use super::TriangleMesh;
 use super::corner_table::{CornerTable, NONE, next, previous};
 use super::matching::{MatchReport, match_half_edges};
+use super::numbering::walk;
 use super::openings::{CappedOpening, cap};
 
 pub use super::openings::Opening;
+pub use super::sites::Sites;
 
 /// Why a triangle soup is not a surface.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -19,6 +21,10 @@ pub enum PreparationError {
     NoTriangles,
     #[error("all {triangles} triangles have no area")]
     AllDegenerate { triangles: usize },
+    #[error("{0} vertices have a coordinate that is not a finite number")]
+    NotFinite(Sites),
+    #[error("{0} triangles name a vertex that is not there")]
+    OutOfRange(Sites),
 }
 
 /// One connected, closed, oriented, manifold surface.
@@ -65,9 +71,12 @@ pub struct PreparationReport {
     pub vertices: usize,
     pub triangles: usize,
     pub diagonal: f64,
-    pub degenerate: usize,
-    pub duplicates: usize,
-    pub split_vertices: usize,
+    /// Triangles left out.
+    pub degenerate: Sites,
+    /// Triangles left out.
+    pub duplicates: Sites,
+    /// Vertices doubled.
+    pub split_vertices: Sites,
     pub inverted_components: usize,
     pub matching: MatchReport,
 }
@@ -80,18 +89,25 @@ pub fn prepare(mesh: &TriangleMesh) -> Result<Prepared, PreparationError> {
     if mesh.triangles.is_empty() {
         return Err(PreparationError::NoTriangles);
     }
+    check(mesh)?;
     let mut report = PreparationReport {
         vertices: mesh.vertices.len(),
         triangles: mesh.triangles.len(),
         ..Default::default()
     };
-    let mut soup = TriangleMesh { vertices: mesh.vertices.clone(), triangles: distinct(mesh, &mut report) };
+    let kept = distinct(mesh, &mut report);
+    let triangles = kept.iter().map(|&t| mesh.triangles[t as usize]).collect();
+    let mut soup = TriangleMesh { vertices: mesh.vertices.clone(), triangles };
     report.diagonal = diagonal(&soup);
     if soup.triangles.iter().all(|t| area(&soup, t) <= 1e-14 * report.diagonal * report.diagonal) {
         return Err(PreparationError::AllDegenerate { triangles: mesh.triangles.len() });
     }
     let (mut opposite, matching) = match_half_edges(&mut soup);
-    report.matching = matching;
+    report.matching = MatchReport {
+        flipped: matching.flipped.renamed(&kept),
+        non_manifold_edges: matching.non_manifold_edges.renamed(&kept),
+        conflicting_edges: matching.conflicting_edges.renamed(&kept),
+    };
     report.split_vertices = split_fans(&mut soup, &opposite);
     let wall = soup.triangles.len();
     let openings = cap(&mut soup, &mut opposite);
@@ -99,32 +115,49 @@ pub fn prepare(mesh: &TriangleMesh) -> Result<Prepared, PreparationError> {
     Ok(Prepared { components, report })
 }
 
-/// Triangles with three different corners, each set of corners once.
-fn distinct(mesh: &TriangleMesh, report: &mut PreparationReport) -> Vec<[u32; 3]> {
+/// Coordinates are finite and indices in range: a reader sees to that, another caller may not.
+fn check(mesh: &TriangleMesh) -> Result<(), PreparationError> {
+    let finite = |v: &u32| mesh.vertices[*v as usize].iter().all(|c| c.is_finite());
+    let vertices: Sites = (0..mesh.vertices.len() as u32).filter(|v| !finite(v)).collect();
+    if vertices.count > 0 {
+        return Err(PreparationError::NotFinite(vertices));
+    }
+    let known = |t: &u32| mesh.triangles[*t as usize].iter().all(|&v| (v as usize) < mesh.vertices.len());
+    let triangles: Sites = (0..mesh.triangles.len() as u32).filter(|t| !known(t)).collect();
+    if triangles.count > 0 {
+        return Err(PreparationError::OutOfRange(triangles));
+    }
+    Ok(())
+}
+
+/// Triangles with three different corners, each set of corners once; ascending.
+fn distinct(mesh: &TriangleMesh, report: &mut PreparationReport) -> Vec<u32> {
     let mut sorted: Vec<([u32; 3], u32)> = Vec::with_capacity(mesh.triangles.len());
     for (t, triangle) in mesh.triangles.iter().enumerate() {
         let mut key = *triangle;
         key.sort_unstable();
         if key[0] == key[1] || key[1] == key[2] {
-            report.degenerate += 1;
+            report.degenerate.add(t as u32);
         } else {
             sorted.push((key, t as u32));
         }
     }
     sorted.sort_unstable();
-    let before = sorted.len();
+    let repeated = sorted.windows(2).filter(|pair| pair[0].0 == pair[1].0);
+    let mut repeated: Vec<u32> = repeated.map(|pair| pair[1].1).collect();
+    repeated.sort_unstable();
+    report.duplicates = repeated.into_iter().collect();
     sorted.dedup_by_key(|entry| entry.0);
-    report.duplicates = before - sorted.len();
     let mut kept: Vec<u32> = sorted.into_iter().map(|entry| entry.1).collect();
     kept.sort_unstable();
-    kept.into_iter().map(|t| mesh.triangles[t as usize]).collect()
+    kept
 }
 
-/// Gives each fan of triangles around a vertex a vertex of its own; returns how many were added.
-fn split_fans(mesh: &mut TriangleMesh, opposite: &[u32]) -> usize {
+/// Gives each fan of triangles around a vertex a vertex of its own; returns the vertices that were doubled.
+fn split_fans(mesh: &mut TriangleMesh, opposite: &[u32]) -> Sites {
     let mut owner = vec![NONE; mesh.vertices.len()];
     let mut seen = vec![false; 3 * mesh.triangles.len()];
-    let mut added = 0;
+    let mut doubled = Sites::default();
     for start in 0..3 * mesh.triangles.len() as u32 {
         if seen[start as usize] {
             continue;
@@ -134,7 +167,7 @@ fn split_fans(mesh: &mut TriangleMesh, opposite: &[u32]) -> usize {
         if owner[v as usize] != NONE {
             name = mesh.vertices.len() as u32;
             mesh.vertices.push(mesh.vertices[v as usize]);
-            added += 1;
+            doubled.add(v);
         } else {
             owner[v as usize] = start;
         }
@@ -143,7 +176,7 @@ fn split_fans(mesh: &mut TriangleMesh, opposite: &[u32]) -> usize {
             mesh.triangles[(h / 3) as usize][(h % 3) as usize] = name;
         }
     }
-    added
+    doubled
 }
 
 /// All half-edges that start at the same corner of one fan as `start`.
@@ -204,58 +237,6 @@ fn split_components(
         surfaces[component[triangle as usize] as usize].openings.push(opening);
     }
     surfaces
-}
-
-/// Names a component's vertices by a walk from its outermost one, breadth first, and returns them in that order.
-///
-/// Later stages start at vertex 0 and break ties by number: this order knows neither the file's nor the frame.
-fn walk(soup: &TriangleMesh, opposite: &[u32], triangles: &[u32], name: &mut [u32]) -> Vec<Point3<f64>> {
-    let origin = |h: u32| soup.triangles[(h / 3) as usize][(h % 3) as usize];
-    let Some(start) = outermost(soup, triangles) else { return Vec::new() };
-    name[origin(start) as usize] = 0;
-    // For each vertex a half-edge from it: the way back to the one that it was reached from.
-    let mut reached = vec![start];
-    let mut cursor = 0;
-    while cursor < reached.len() {
-        let mut h = reached[cursor];
-        loop {
-            let slot = &mut name[origin(next(h)) as usize];
-            if *slot == NONE {
-                *slot = reached.len() as u32;
-                reached.push(opposite[h as usize]);
-            }
-            h = opposite[previous(h) as usize];
-            if h == reached[cursor] {
-                break;
-            }
-        }
-        cursor += 1;
-    }
-    reached.into_iter().map(|h| soup.vertices[origin(h) as usize]).collect()
-}
-
-/// The half-edge from the vertex farthest from the middle of the surface to its neighbour nearest to there.
-fn outermost(soup: &TriangleMesh, triangles: &[u32]) -> Option<u32> {
-    let corners = |t: u32| soup.triangles[t as usize].map(|v| soup.vertices[v as usize]);
-    let [base, ..] = corners(*triangles.first()?);
-    let (mut moment, mut total) = (Vector3::zeros(), 0.0);
-    for [a, b, c] in triangles.iter().map(|&t| corners(t)) {
-        let twice = (b - a).cross(&(c - a)).norm();
-        moment += ((a - base) + (b - base) + (c - base)) * (twice / 3.0);
-        total += twice;
-    }
-    let middle = if total > 0.0 { base + moment / total } else { base };
-    let mut best = (f64::NEG_INFINITY, f64::NEG_INFINITY, NONE);
-    for &t in triangles {
-        let away = corners(t).map(|p| (p - middle).norm_squared());
-        for k in 0..3 {
-            let (from, to) = (away[k], -away[(k + 1) % 3]);
-            if from > best.0 || (from == best.0 && to > best.1) {
-                best = (from, to, 3 * t + k as u32);
-            }
-        }
-    }
-    Some(best.2)
 }
 
 /// Each triangle's component, and each component's triangles in ascending order.
@@ -327,6 +308,8 @@ fn signed_volume(mesh: &TriangleMesh) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Point3;
+
     use super::*;
 
     /// A cube of edge 1, as two triangles a side.
@@ -391,7 +374,7 @@ mod tests {
         mesh.triangles.extend(second);
         let prepared = prepare(&mesh).unwrap();
         assert_eq!(prepared.components.len(), 2);
-        assert_eq!(prepared.report.split_vertices, 1);
+        assert_eq!((prepared.report.split_vertices.count, prepared.report.split_vertices.first[0]), (1, 7));
         prepared.components.iter().for_each(check_manifold);
     }
 
@@ -400,7 +383,9 @@ mod tests {
         let mut mesh = cube();
         mesh.triangles.extend([[0, 2, 3], [2, 3, 0], [1, 1, 2]]);
         let prepared = prepare(&mesh).unwrap();
-        assert_eq!((prepared.report.duplicates, prepared.report.degenerate), (2, 1));
+        let report = &prepared.report;
+        assert_eq!((report.duplicates.count, report.duplicates.list()), (2, "12, 13".to_owned()));
+        assert_eq!((report.degenerate.count, report.degenerate.list()), (1, "14".to_owned()));
         assert!((prepared.components[0].volume() - 1.0).abs() < 1e-12);
     }
 

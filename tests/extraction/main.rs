@@ -1,7 +1,10 @@
 //! What the method promises whatever the mesh: tested against closed forms, on defects, and by properties.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+mod cancellation;
 mod closed_forms;
+mod defects;
 mod invariance;
 mod lines;
+mod properties;
 mod surfaces;
