@@ -28,17 +28,34 @@ impl Worker {
                     tracing::info!("successful");
                     return;
                 }
-                Ok(false) => {
-                    tracing::info!("dismissed, results dropped");
-                    return self.drop_results(job, lease, &artifacts).await;
-                }
+                Ok(false) => return self.drop_unless_named(job, lease, &artifacts).await,
                 Err(error) => tracing::error!(%error, "cannot store the results"),
             }
             if self.stops(entry) {
-                self.drop_results(job, lease, &artifacts).await;
-                return self.abandon(job, lease).await;
+                self.abandon(job, lease).await;
+                return self.drop_unless_named(job, lease, &artifacts).await;
             }
             self.pause(backoff.next()).await;
+        }
+    }
+
+    /// Drops the results of a run whose lease is void. A write that failed may have been committed all the
+    /// same, so the row decides whether they are its own.
+    async fn drop_unless_named(&self, job: &Job, lease: &Lease, artifacts: &[(OutputFormat, Bytes)]) {
+        match self.shared.store.get(job.id).await {
+            Ok(Some(found)) if found.lease.as_ref() == Some(lease) => {
+                tracing::warn!("not put back; the next start does that, and removes the results");
+            }
+            Ok(Some(found)) if names(&found, &result_key(job, lease, OutputFormat::Json)) => {
+                tracing::info!("successful");
+            }
+            Ok(_) => {
+                tracing::info!("dismissed or put back, results dropped");
+                self.drop_results(job, lease, artifacts).await;
+            }
+            Err(error) => {
+                tracing::error!(%error, "whether the results are needed is not known; the next start decides");
+            }
         }
     }
 
@@ -65,6 +82,11 @@ impl Worker {
             }
         }
     }
+}
+
+/// Whether the job's row says that this file is its result.
+fn names(job: &Job, key: &str) -> bool {
+    job.artifacts.iter().any(|artifact| artifact.key == key)
 }
 
 /// The lease in the key keeps two runs of a job from writing one file.

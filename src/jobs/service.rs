@@ -240,7 +240,9 @@ impl JobService {
         loop {
             let job = store.get(id).await?.ok_or(JobError::NotFound { id })?;
             if job.status.is_active() {
-                if store.dismiss(id, self.shared.clock.now_ms()).await? {
+                let dismissed = store.dismiss(id, self.shared.clock.now_ms()).await;
+                // After an error it may be committed all the same: the store knows.
+                if dismissed.inspect_err(|_| board.forget_accepted(id))? {
                     board.cancel(id);
                     board.end(id);
                     tracing::info!(%id, "dismissed");

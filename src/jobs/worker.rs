@@ -123,8 +123,28 @@ impl Worker {
                 }
                 Err(error) => {
                     tracing::error!(%error, "cannot claim jobs");
-                    self.pause(backoff.next()).await;
+                    self.unclaim(&lease, &mut backoff).await;
                 }
+            }
+        }
+    }
+
+    /// Puts back the job that a failed claim may have got, else it would wait for the next start under a
+    /// lease that nobody holds. Tries until the store answers or the service drains.
+    async fn unclaim(&mut self, lease: &Lease, backoff: &mut Backoff) {
+        loop {
+            self.pause(backoff.next()).await;
+            match self.shared.store.unclaim(lease, self.shared.clock.now_ms()).await {
+                Ok(put_back) => {
+                    if put_back {
+                        tracing::warn!("a failed claim had got a job; it is put back");
+                    }
+                    return;
+                }
+                Err(error) => tracing::error!(%error, "cannot undo a claim"),
+            }
+            if self.phase() != Phase::Open {
+                return;
             }
         }
     }

@@ -82,6 +82,8 @@ pub trait JobStore: Send + Sync + 'static {
     ///
     /// Jobs that were running when the process died run one at a time, so that one which takes the
     /// process down again does not use up the attempts of its neighbours.
+    ///
+    /// A claim that fails may have been committed all the same: see [`JobStore::unclaim`].
     fn claim<'a>(&'a self, lease: &'a Lease, now: i64) -> StoreFuture<'a, Option<Job>>;
 
     fn progress<'a>(
@@ -113,6 +115,10 @@ pub trait JobStore: Send + Sync + 'static {
 
     /// running → accepted, by an orderly shutdown: the attempt does not count.
     fn release<'a>(&'a self, id: JobId, lease: &'a Lease, now: i64) -> StoreFuture<'a, bool>;
+
+    /// running → accepted for the job that a failed [`JobStore::claim`] may have got; the attempt does not
+    /// count. `false`: it got none.
+    fn unclaim<'a>(&'a self, lease: &'a Lease, now: i64) -> StoreFuture<'a, bool>;
 
     /// accepted or running → dismissed. `false`: it was neither.
     fn dismiss(&self, id: JobId, now: i64) -> StoreFuture<'_, bool>;

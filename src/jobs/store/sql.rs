@@ -266,6 +266,12 @@ impl JobStore for SqlStore {
         self.fenced(sqlx::query(sql).bind(id.to_string()).bind(lease.as_str()).bind(now)).boxed()
     }
 
+    fn unclaim<'a>(&'a self, lease: &'a Lease, now: i64) -> StoreFuture<'a, bool> {
+        let sql = "UPDATE jobs SET status = 'accepted', attempts = attempts - 1, updated = $2, progress = 0, \
+                   stage = NULL, started = NULL, lease = NULL WHERE lease = $1 AND status = 'running'";
+        self.fenced(sqlx::query(sql).bind(lease.as_str()).bind(now)).boxed()
+    }
+
     fn dismiss(&self, id: JobId, now: i64) -> StoreFuture<'_, bool> {
         let sql = "UPDATE jobs SET status = 'dismissed', updated = $2, finished = $2, lease = NULL \
                    WHERE id = $1 AND status IN ('accepted', 'running')";
