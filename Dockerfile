@@ -15,11 +15,11 @@ RUN useradd --system --uid 10001 --no-create-home --shell /usr/sbin/nologin rosa
     && install --directory --owner=rosaline --group=rosaline --mode=0700 /var/lib/rosaline
 COPY --from=build /rosaline /usr/local/bin/rosaline
 USER 10001
-# Reachable from outside of the container, which publishes the port or does not. The grace time ends before
-# Docker's own 10 s between SIGTERM and SIGKILL; raise both for long jobs.
+# Reachable from outside of the container, which publishes the port or does not. Docker waits 10 s between
+# SIGTERM and SIGKILL: the grace time, and up to 2 s for jobs that it interrupts; raise both for long jobs.
 ENV ROSALINE_LISTEN=0.0.0.0:8080 \
     ROSALINE_DATA=/var/lib/rosaline \
-    ROSALINE_GRACE=8s \
+    ROSALINE_GRACE=6s \
     ROSALINE_LOG_FORMAT=json
 VOLUME /var/lib/rosaline
 EXPOSE 8080

@@ -1,4 +1,4 @@
-//! A database that reports errors for changes that it has committed.
+//! A database that reports errors for changes that it has committed, and one with a row that cannot be read.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 #[allow(dead_code)] // Each test file uses its own part.
@@ -14,7 +14,8 @@ use futures::future::BoxFuture;
 use jobs_fakes::{Script, ended, files, result_of, running, settings, submit, until};
 use rosaline::jobs::store::{JobStore, ListQuery, Page, Recovered, StoreError, StoreFuture};
 use rosaline::jobs::{
-    Counts, Job, JobFailure, JobId, JobService, JobStatus, Lease, Storage, StoredArtifact, SystemClock,
+    Counts, Job, JobError, JobFailure, JobId, JobService, JobStatus, Lease, Removed, Storage, StoredArtifact,
+    SystemClock,
 };
 use rosaline::output::OutputFormat;
 use tempfile::TempDir;
@@ -202,4 +203,30 @@ async fn a_job_whose_claim_was_reported_as_an_error_runs_all_the_same() {
     assert_eq!((done.status, done.attempts), (JobStatus::Successful, 1), "what never ran does not count");
     fixture.has_result_of(&job, "ok").await;
     fixture.service.shutdown(Duration::ZERO).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_unreadable_newest_row_stops_neither_the_start_nor_the_list_and_can_be_deleted() {
+    let (dir, script) = (tempfile::tempdir().unwrap(), Script::new());
+    let service = JobService::open(settings(dir.path(), 1), script.clone()).await.unwrap();
+    let jobs = [submit(&service, "ok").await.id, submit(&service, "ok").await.id];
+    for id in jobs {
+        ended(&service, id).await;
+    }
+    service.shutdown(Duration::ZERO).await;
+    drop(service);
+    let url = format!("sqlite://{}", dir.path().join("jobs.sqlite").display());
+    let mut store = <sqlx::AnyConnection as sqlx::Connection>::connect(&url).await.unwrap();
+    let spoil = "UPDATE jobs SET units = 'furlong' WHERE id = (SELECT MAX(id) FROM jobs)";
+    sqlx::query(spoil).execute(&mut store).await.unwrap();
+
+    let service = JobService::open(settings(dir.path(), 1), script).await.unwrap();
+    let page = service.list(ListQuery { status: None, before: None, limit: 10 }).await.unwrap();
+    assert_eq!(page.jobs.iter().map(|job| job.id).collect::<Vec<_>>(), jobs[..1]);
+    assert!(submit(&service, "ok").await.id > jobs[1], "ids go on from it");
+    assert_eq!(service.remove(jobs[1]).await.unwrap(), Removed::Purged);
+    assert!(matches!(service.remove(jobs[1]).await, Err(JobError::NotFound { .. })));
+    let left = files(&dir.path().join("blobs"));
+    assert!(!left.iter().any(|name| name.starts_with(&jobs[1].to_string())), "{left:?}");
+    service.shutdown(Duration::from_secs(5)).await;
 }

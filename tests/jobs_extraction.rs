@@ -41,8 +41,10 @@ fn stl(kind: Kind) -> Vec<u8> {
 /// The three results of a job on pools of this many threads.
 async fn results(threads: usize, bytes: &[u8], spec: &JobSpec) -> Vec<Vec<u8>> {
     let dir = tempfile::tempdir().unwrap();
-    let settings =
-        Settings { threads: NonZeroUsize::new(threads).unwrap(), ..settings(&dir.path().join("data"), 1) };
+    let settings = Settings {
+        threads_per_worker: NonZeroUsize::new(threads).unwrap(),
+        ..settings(&dir.path().join("data"), 1)
+    };
     let service = JobService::open(settings, Arc::new(Extraction::default())).await.unwrap();
     let job = submit(&service, bytes, spec.clone()).await;
     let done = ended(&service, job.id).await;

@@ -13,7 +13,7 @@ use tracing_subscriber::EnvFilter;
 use super::Failure;
 use crate::http::{self, App, Limits};
 use crate::jobs::extraction::Extraction;
-use crate::jobs::{JobService, Settings, log_panics_without_text};
+use crate::jobs::{JobService, Settings, TooManyWorkers, log_panics_without_text};
 
 pub use args::Args;
 use args::LogFormat;
@@ -45,7 +45,7 @@ async fn serve(args: Args) -> Result<(), Failure> {
         validations: args.validations.get(),
         ..Limits::default()
     };
-    let jobs = JobService::open(settings(&args), Arc::new(Extraction::new(limits.mesh))).await?;
+    let jobs = JobService::open(settings(&args)?, Arc::new(Extraction::new(limits.mesh))).await?;
     let app = App::new(jobs, limits)?;
     // For people and for scripts that asked for port 0; a closed stdout leaves nobody to tell.
     let _ = writeln!(std::io::stdout(), "listening on http://{address}");
@@ -55,11 +55,9 @@ async fn serve(args: Args) -> Result<(), Failure> {
     Ok(())
 }
 
-fn settings(args: &Args) -> Settings {
-    let mut settings = Settings::new(&args.data);
-    settings.threads = args.threads.unwrap_or(settings.threads);
-    settings.workers = args.workers.unwrap_or(settings.workers);
-    settings
+fn settings(args: &Args) -> Result<Settings, TooManyWorkers> {
+    let settings = Settings { max_crashes: args.max_crashes, ..Settings::new(&args.data) };
+    settings.on(args.threads, args.workers)
 }
 
 /// Ready at the first SIGTERM or SIGINT; a second one ends the process at once.

@@ -33,15 +33,15 @@ impl JobFailure {
         )
     }
 
-    /// The process ended `attempts` times while the job ran.
-    pub fn crashed(attempts: u32) -> Self {
+    /// The process died `crashes` times while this job and no other ran.
+    pub fn crashed(crashes: u32) -> Self {
         Self::new(
             "crashed",
             500,
             "The job was given up after repeated crashes",
             format!(
-                "the service stopped unexpectedly {attempts} times while this job ran (out of memory is the usual \
-                 cause); it is not tried again"
+                "the service died {crashes} times while this job ran alone (out of memory is the usual cause); it \
+                 is not tried again"
             ),
         )
     }

@@ -43,5 +43,5 @@ pub use model::{
 };
 pub use panics::log_panics_without_text;
 pub use service::{JobService, Removed, Upload};
-pub use settings::Settings;
+pub use settings::{MAX_CRASHES, Settings, TooManyWorkers};
 pub use storage::Storage;

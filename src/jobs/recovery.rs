@@ -13,10 +13,10 @@ const CHUNK: usize = 500;
 pub(super) async fn recover(
     store: &dyn JobStore,
     blobs: &dyn BlobStore,
-    max_attempts: u32,
+    max_crashes: u32,
     now: i64,
 ) -> Result<(), JobError> {
-    let recovered = store.recover(max_attempts, now).await?;
+    let recovered = store.recover(max_crashes, now).await?;
     if recovered.requeued + recovered.failed > 0 {
         tracing::warn!(
             requeued = recovered.requeued,

@@ -2,6 +2,7 @@
 
 use std::io;
 use std::ops::Range;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -14,7 +15,7 @@ use super::blob::BlobReader;
 use super::live::Board;
 use super::recovery::recover;
 use super::runner::JobRunner;
-use super::store::{ListQuery, Page};
+use super::store::{ListQuery, Page, StoreError};
 use super::worker::{Phase, Shared, Worker};
 use super::{
     Clock, Counts, IdSource, Job, JobError, JobId, JobSpec, JobStatus, Settings, Storage, StoredArtifact,
@@ -101,7 +102,7 @@ impl JobService {
         clock: Arc<dyn Clock>,
     ) -> Result<Arc<Self>, JobError> {
         let (store, blobs) = (&storage.store, &storage.blobs);
-        recover(store.as_ref(), blobs.as_ref(), settings.max_attempts, clock.now_ms()).await?;
+        recover(store.as_ref(), blobs.as_ref(), settings.max_crashes.get(), clock.now_ms()).await?;
         let ids = IdSource::new(clock.clone(), store.newest().await?);
         let shared = Arc::new(Shared {
             store: storage.store,
@@ -112,6 +113,7 @@ impl JobService {
             settings,
             _folder: storage.folder,
             wake: Notify::new(),
+            held: AtomicUsize::new(0),
             phase: watch::Sender::new(Phase::Open),
         });
         let workers: Result<Vec<Worker>, _> =
@@ -233,37 +235,66 @@ impl JobService {
         Ok(self.shared.store.counts().await?)
     }
 
-    /// Cancels an active job; purges one that has ended, and its files.
+    /// Cancels an active job; purges one that has ended, or whose row cannot be read, with its files.
     pub async fn remove(&self, id: JobId) -> Result<Removed, JobError> {
-        let (store, board) = (&self.shared.store, &self.shared.board);
         // Each turn ends unless the job changed its state in between.
         loop {
-            let job = store.get(id).await?.ok_or(JobError::NotFound { id })?;
-            if job.status.is_active() {
-                let dismissed = store.dismiss(id, self.shared.clock.now_ms()).await;
-                // After an error it may be committed all the same: the store knows.
-                if dismissed.inspect_err(|_| board.forget_accepted(id))? {
-                    board.cancel(id);
-                    board.end(id);
-                    tracing::info!(%id, "dismissed");
-                    return Ok(Removed::Dismissed(Box::new(self.status(id).await?)));
-                }
-            } else if store.delete(id).await? {
-                self.purge_files(&job).await;
+            let job = match self.shared.store.get(id).await {
+                Ok(job) => Some(job.ok_or(JobError::NotFound { id })?),
+                Err(StoreError::Corrupt { .. }) => None,
+                Err(error) => return Err(error.into()),
+            };
+            let active = job.as_ref().is_none_or(|job| job.status.is_active());
+            if active && self.dismiss(id).await? && job.is_some() {
+                return Ok(Removed::Dismissed(Box::new(self.status(id).await?)));
+            }
+            if (!active || job.is_none()) && self.shared.store.delete(id).await? {
+                self.purge_files(id, job.as_ref()).await;
                 tracing::info!(%id, "purged");
                 return Ok(Removed::Purged);
             }
         }
     }
 
-    /// The row is gone already, so a file that cannot be removed now goes at the next start.
-    async fn purge_files(&self, job: &Job) {
-        let results = job.artifacts.iter().map(|artifact| &artifact.key);
-        for key in std::iter::once(&job.input.key).chain(results) {
-            if let Err(error) = self.shared.blobs.delete(key).await {
-                tracing::warn!(id = %job.id, %error, "a purged job's file stays until the next start");
-            }
+    /// Ends an active job and its run; whether it was active.
+    async fn dismiss(&self, id: JobId) -> Result<bool, JobError> {
+        let (shared, board) = (&self.shared, &self.shared.board);
+        let dismissed = shared.store.dismiss(id, shared.clock.now_ms()).await;
+        // After an error it may be committed all the same: the store knows.
+        let dismissed = dismissed.inspect_err(|_| board.forget_accepted(id))?;
+        if dismissed {
+            board.cancel(id);
+            board.end(id);
+            // Others may have waited for it to go first.
+            shared.wake.notify_one();
+            tracing::info!(%id, "dismissed");
         }
+        Ok(dismissed)
+    }
+
+    /// The row is gone already, so a file that cannot be removed now goes at the next start.
+    async fn purge_files(&self, id: JobId, job: Option<&Job>) {
+        let purge = async || {
+            for key in self.files_of(id, job).await? {
+                self.shared.blobs.delete(&key).await?;
+            }
+            Ok::<_, JobError>(())
+        };
+        if let Err(error) = purge().await {
+            tracing::warn!(%id, %error, "a purged job's file stays until the next start");
+        }
+    }
+
+    /// The files that the job's row names; without a row, those in the job's folder.
+    async fn files_of(&self, id: JobId, job: Option<&Job>) -> Result<Vec<String>, JobError> {
+        if let Some(job) = job {
+            let results = job.artifacts.iter().map(|artifact| artifact.key.clone());
+            return Ok(std::iter::once(job.input.key.clone()).chain(results).collect());
+        }
+        let folder = format!("{id}/");
+        let mut keys = self.shared.blobs.list().await?;
+        keys.retain(|key| key.starts_with(&folder));
+        Ok(keys)
     }
 
     /// A successful job's result in one form.
@@ -303,6 +334,9 @@ impl JobService {
         }
         if let Err(error) = self.shared.blobs.check().await {
             reasons.push(error.to_string());
+        }
+        if self.shared.held.load(Ordering::Relaxed) >= self.shared.settings.workers.get() {
+            reasons.push("every worker waits for a cancelled run that does not stop".to_owned());
         }
         if reasons.is_empty() { Ok(()) } else { Err(Unready { reasons }) }
     }

@@ -5,6 +5,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
@@ -18,7 +19,7 @@ use super::runner::{Artifact, JobRunner, RunControl, Work};
 use super::store::{JobStore, StoreError};
 use super::{Clock, DataFolder, Job, JobFailure, JobStage, Lease, Settings};
 
-/// How long a cancelled run may take to stop before its worker goes on without it.
+/// How long a cancelled run may take to stop before its job is settled without it.
 const STOP_WITHIN: Duration = Duration::from_secs(2);
 const FIRST_RETRY: Duration = Duration::from_millis(100);
 const LAST_RETRY: Duration = Duration::from_secs(5);
@@ -48,6 +49,8 @@ pub(super) struct Shared {
     /// Locked as long as a worker lives.
     pub(super) _folder: Option<DataFolder>,
     pub(super) wake: Notify,
+    /// Workers that wait for a run which does not obey its cancellation.
+    pub(super) held: AtomicUsize,
     pub(super) phase: watch::Sender<Phase>,
 }
 
@@ -55,8 +58,8 @@ pub(super) struct Shared {
 enum Outcome {
     Answered(Result<Vec<Artifact>, JobFailure>),
     Panicked,
-    /// It did not obey its cancellation.
-    Stuck,
+    /// It does not obey its cancellation; ready when it ends.
+    Stuck(oneshot::Receiver<Outcome>),
 }
 
 /// Waits that grow, between tries of something that should come right by itself.
@@ -77,7 +80,6 @@ impl Backoff {
 pub(super) struct Worker {
     pub(super) shared: Arc<Shared>,
     pool: ThreadPool,
-    number: usize,
     phase: watch::Receiver<Phase>,
 }
 
@@ -85,7 +87,7 @@ impl Worker {
     pub(super) fn new(shared: Arc<Shared>, number: usize) -> Result<Self, ThreadPoolBuildError> {
         let pool = pool(&shared.settings, number)?;
         let phase = shared.phase.subscribe();
-        Ok(Self { shared, pool, number, phase })
+        Ok(Self { shared, pool, phase })
     }
 
     pub(super) fn phase(&self) -> Phase {
@@ -153,19 +155,35 @@ impl Worker {
         let began = Instant::now();
         tracing::info!(attempt = job.attempts, bytes = job.input.size, "started");
         let entry = self.shared.board.start(job.id);
+        let mut left = None;
         if self.holds(&job, lease).await {
             entry.runs(&job);
             match self.read_input(&job, &entry).await {
                 Some(Ok(bytes)) => {
                     let outcome = self.compute(&job, lease, &entry, bytes).await;
                     let seconds = began.elapsed().as_secs_f64();
-                    self.settle(&job, lease, &entry, outcome, seconds).await;
+                    left = self.settle(&job, lease, &entry, outcome, seconds).await;
                 }
                 Some(Err(failure)) => self.fail(&job, lease, &entry, failure).await,
                 None => self.abandon(&job, lease).await,
             }
         }
         self.shared.board.end(job.id);
+        if let Some(run) = left {
+            self.outlast(run).await;
+        }
+    }
+
+    /// Waits for a run that was given up: it holds its threads and its memory, so another run beside it would
+    /// take more than this worker's share.
+    async fn outlast(&mut self, run: oneshot::Receiver<Outcome>) {
+        self.shared.held.fetch_add(1, Ordering::Relaxed);
+        tokio::select! {
+            _ = run => tracing::warn!("the run that was given up has ended"),
+            // The sender lives in `shared`, so the wait does not fail.
+            _ = self.phase.wait_for(|phase| *phase != Phase::Open) => {}
+        }
+        self.shared.held.fetch_sub(1, Ordering::Relaxed);
     }
 
     /// Whether the job was not dismissed between its claim and its place on the board.
@@ -224,15 +242,24 @@ impl Worker {
             answer.send(outcome).ok();
         });
         let shared = self.shared.clone();
-        tokio::select! {
+        let outcome = tokio::select! {
             biased;
-            outcome = &mut answered => outcome.unwrap_or(Outcome::Panicked),
-            () = flush(&shared, job, lease, entry) => Outcome::Stuck,
-            () = overdue(self.phase.clone(), entry) => Outcome::Stuck,
-        }
+            outcome = &mut answered => Some(outcome.unwrap_or(Outcome::Panicked)),
+            () = flush(&shared, job, lease, entry) => None,
+            () = overdue(self.phase.clone(), entry) => None,
+        };
+        outcome.unwrap_or(Outcome::Stuck(answered))
     }
 
-    async fn settle(&mut self, job: &Job, lease: &Lease, entry: &Entry, outcome: Outcome, seconds: f64) {
+    /// Writes how the run ended; the end of a run that goes on.
+    async fn settle(
+        &mut self,
+        job: &Job,
+        lease: &Lease,
+        entry: &Entry,
+        outcome: Outcome,
+        seconds: f64,
+    ) -> Option<oneshot::Receiver<Outcome>> {
         let stopping = self.phase() == Phase::Stopping;
         match outcome {
             Outcome::Answered(Ok(artifacts)) if stopping || !entry.cancel.is_cancelled() => {
@@ -248,18 +275,13 @@ impl Worker {
                 self.fail(job, lease, entry, JobFailure::panicked()).await;
             }
             Outcome::Answered(_) => self.abandon(job, lease).await,
-            Outcome::Stuck => {
-                tracing::error!(
-                    seconds,
-                    "the run does not obey its cancellation; its threads are left behind"
-                );
+            Outcome::Stuck(run) => {
+                tracing::error!(seconds, "the run does not obey its cancellation; its worker waits for it");
                 self.abandon(job, lease).await;
-                match pool(&self.shared.settings, self.number) {
-                    Ok(pool) => self.pool = pool,
-                    Err(error) => tracing::error!(%error, "cannot start new threads"),
-                }
+                return Some(run);
             }
         }
+        None
     }
 
     /// Puts the job back if the service stops; a dismissed one is settled already.
@@ -303,7 +325,7 @@ impl Worker {
 
 fn pool(settings: &Settings, number: usize) -> Result<ThreadPool, ThreadPoolBuildError> {
     ThreadPoolBuilder::new()
-        .num_threads(settings.threads_per_worker())
+        .num_threads(settings.threads_per_worker.get())
         .thread_name(move |thread| format!("worker-{number}-{thread}"))
         .stack_size(STACK)
         .build()

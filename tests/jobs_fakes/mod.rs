@@ -139,7 +139,7 @@ pub fn settings(data: &Path, workers: usize) -> Settings {
     let workers = NonZeroUsize::new(workers).unwrap();
     Settings {
         workers,
-        threads: workers,
+        threads_per_worker: NonZeroUsize::MIN,
         poll: Duration::from_secs(3600),
         flush: Duration::from_millis(50),
         ..Settings::new(data)

@@ -1,9 +1,11 @@
 //! The service's settings: flags, or environment variables of the same name.
 
-use std::num::NonZeroUsize;
+use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
+
+use crate::jobs::MAX_CRASHES;
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -13,12 +15,16 @@ pub struct Args {
     /// Folder for the jobs' database and files; created where it is missing.
     #[arg(long, env = "ROSALINE_DATA", default_value = "data", value_name = "DIR")]
     pub data: PathBuf,
-    /// Jobs that run at once [default: a quarter of the threads, at least 2].
+    /// Jobs that run at once, each on its share of the threads; at most one a thread [default: a quarter of the
+    /// threads, at least 2 where there are 2].
     #[arg(long, env = "ROSALINE_WORKERS", value_name = "N")]
     pub workers: Option<NonZeroUsize>,
-    /// Threads that compute, over all workers [default: one a core].
+    /// Threads that compute, over all workers [default: one a core, at least one a worker].
     #[arg(long, env = "ROSALINE_THREADS", value_name = "N")]
     pub threads: Option<NonZeroUsize>,
+    /// How often the service may die while one job runs alone before that job is failed instead of run again.
+    #[arg(long, env = "ROSALINE_MAX_CRASHES", default_value_t = MAX_CRASHES, value_name = "N")]
+    pub max_crashes: NonZeroU32,
     /// Largest mesh, in bytes or with KiB, MiB or GiB.
     #[arg(long, env = "ROSALINE_MAX_UPLOAD", default_value = "1GiB", value_name = "SIZE")]
     pub max_upload: Size,

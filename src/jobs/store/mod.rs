@@ -4,6 +4,7 @@ mod row;
 mod sql;
 #[cfg(test)]
 mod tests;
+mod turns;
 
 use std::collections::HashSet;
 
@@ -76,12 +77,14 @@ pub trait JobStore: Send + Sync + 'static {
     /// The job that was made with this idempotency key.
     fn by_key<'a>(&'a self, key: &'a str) -> StoreFuture<'a, Option<Job>>;
 
+    /// Leaves out, and logs, rows that cannot be read.
     fn list(&self, query: ListQuery) -> StoreFuture<'_, Page>;
 
     /// Sets the oldest waiting job running under `lease` and counts the attempt.
     ///
-    /// Jobs that were running when the process died run one at a time, so that one which takes the
-    /// process down again does not use up the attempts of its neighbours.
+    /// A job that was running when the process died runs beside no other such job, and one that was so twice
+    /// runs alone and before all others, so that a job which takes the process down is told from its
+    /// neighbours.
     ///
     /// A claim that fails may have been committed all the same: see [`JobStore::unclaim`].
     fn claim<'a>(&'a self, lease: &'a Lease, now: i64) -> StoreFuture<'a, Option<Job>>;
@@ -126,9 +129,9 @@ pub trait JobStore: Send + Sync + 'static {
     /// Removes the row of a job that has ended. `false`: there is none, or it is active.
     fn delete(&self, id: JobId) -> StoreFuture<'_, bool>;
 
-    /// Every running job → accepted, or → failed with [`JobFailure::crashed`] once it was started
-    /// `max_attempts` times. For the start of a process that has the store for itself.
-    fn recover(&self, max_attempts: u32, now: i64) -> StoreFuture<'_, Recovered>;
+    /// Every running job → accepted, or → failed with [`JobFailure::crashed`] once it was the only one running
+    /// at `max_crashes` such calls. For the start of a process that has the store for itself.
+    fn recover(&self, max_crashes: u32, now: i64) -> StoreFuture<'_, Recovered>;
 
     fn counts(&self) -> StoreFuture<'_, Counts>;
 

@@ -3,7 +3,7 @@
 use sqlx::any::AnyRow;
 use sqlx::{Any, ColumnIndex, Decode, Row, Type};
 
-use super::StoreError;
+use super::{Page, StoreError};
 use crate::jobs::{FileName, FormatHint, Idempotency, Job, JobId, JobSpec, Lease, Origin, StoredInput};
 
 /// Reads `column` of `row`.
@@ -46,6 +46,11 @@ impl Columns<'_> {
         let value: i64 = column(self.row, name)?;
         T::try_from(value).map_err(|error| self.corrupt(name, error.to_string()))
     }
+}
+
+/// The id in `row`, whatever its other columns hold.
+pub(super) fn id(row: &AnyRow) -> Result<JobId, StoreError> {
+    Columns { row, id: column(row, "id")? }.parsed("id")
 }
 
 /// The job in `row`, which has every column of the table.
@@ -91,6 +96,13 @@ pub(super) fn job(row: &AnyRow) -> Result<Job, StoreError> {
         attempts: columns.number("attempts")?,
         lease: columns.optional_text("lease")?.map(Lease::from_stored),
     })
+}
+
+/// The rows that can be read; one that cannot must not hide its neighbours.
+pub(super) fn page(rows: &[AnyRow], more: bool) -> Page {
+    let readable = |row| job(row).inspect_err(|error| tracing::error!(%error, "left out of the list")).ok();
+    let next = if more { rows.iter().rev().find_map(|row| id(row).ok()) } else { None };
+    Page { jobs: rows.iter().filter_map(readable).collect(), next }
 }
 
 /// JSON for a TEXT column.

@@ -5,14 +5,14 @@
 use std::collections::HashSet;
 use std::time::Duration;
 
-use futures::FutureExt;
 use futures::future::BoxFuture;
+use futures::{FutureExt, TryStreamExt};
 use sqlx::any::{AnyArguments, AnyPoolOptions};
 use sqlx::query::Query;
 use sqlx::{Any, AnyPool, AssertSqlSafe, Row};
 
-use super::row::{bigint, job, json};
-use super::{JobStore, ListQuery, Page, Recovered, StoreError, StoreFuture};
+use super::row::{bigint, id, job, json, page};
+use super::{JobStore, ListQuery, Page, Recovered, StoreError, StoreFuture, turns};
 use crate::jobs::{Counts, Job, JobFailure, JobId, JobStatus, Lease, StoredArtifact};
 
 /// How long a statement waits for another process that holds SQLite's lock (a backup, say).
@@ -176,23 +176,14 @@ impl JobStore for SqlStore {
             }
             let rows = statement.fetch_all(&self.readers).await?;
             let limit = usize::try_from(limit).unwrap_or(usize::MAX);
-            let jobs: Vec<Job> = rows.iter().take(limit).map(job).collect::<Result<_, _>>()?;
-            let next = if rows.len() > limit { jobs.last().map(|job| job.id) } else { None };
-            Ok(Page { jobs, next })
+            Ok(page(&rows[..limit.min(rows.len())], rows.len() > limit))
         }
         .boxed()
     }
 
     fn claim<'a>(&'a self, lease: &'a Lease, now: i64) -> StoreFuture<'a, Option<Job>> {
         async move {
-            let sql = "UPDATE jobs SET status = 'running', lease = $1, started = $2, updated = $2, \
-                       attempts = attempts + 1, progress = 0, stage = NULL \
-                       WHERE status = 'accepted' AND id = ( \
-                           SELECT id FROM jobs WHERE status = 'accepted' AND (attempts = 0 OR NOT EXISTS ( \
-                               SELECT 1 FROM jobs AS other WHERE other.status = 'running' AND other.attempts > 1)) \
-                           ORDER BY id LIMIT 1) \
-                       RETURNING *";
-            let query = sqlx::query(sql).bind(lease.as_str()).bind(now);
+            let query = sqlx::query(turns::CLAIM).bind(lease.as_str()).bind(now);
             // All rows, so that the statement is stepped to its end and commits.
             let rows = query.fetch_all(&self.writer).await.map_err(classified)?;
             let claimed = rows.first().map(job).transpose();
@@ -283,16 +274,17 @@ impl JobStore for SqlStore {
         self.fenced(sqlx::query(sql).bind(id.to_string())).boxed()
     }
 
-    fn recover(&self, max_attempts: u32, now: i64) -> StoreFuture<'_, Recovered> {
+    fn recover(&self, max_crashes: u32, now: i64) -> StoreFuture<'_, Recovered> {
         async move {
-            let failure = json(&JobFailure::crashed(max_attempts))?;
-            let give_up = "UPDATE jobs SET status = 'failed', error = $1, updated = $2, finished = $2, lease = NULL \
-                           WHERE status = 'running' AND attempts >= $3";
-            let give_up = sqlx::query(give_up).bind(failure).bind(now).bind(i64::from(max_attempts));
-            let failed = self.change(give_up).await?;
-            let put_back = "UPDATE jobs SET status = 'accepted', updated = $1, progress = 0, stage = NULL, \
-                            started = NULL, lease = NULL WHERE status = 'running'";
-            let requeued = self.change(sqlx::query(put_back).bind(now)).await?;
+            let failure = json(&JobFailure::crashed(max_crashes))?;
+            let give_up = sqlx::query(turns::GIVE_UP).bind(failure).bind(now).bind(i64::from(max_crashes));
+            // All or nothing: a start that dies here must not count a crash twice.
+            let mut transaction = self.writer.begin().await?;
+            sqlx::query(turns::COUNT).execute(&mut *transaction).await.map_err(classified)?;
+            let failed = give_up.execute(&mut *transaction).await.map_err(classified)?.rows_affected();
+            let put_back = sqlx::query(turns::PUT_BACK).bind(now);
+            let requeued = put_back.execute(&mut *transaction).await.map_err(classified)?.rows_affected();
+            transaction.commit().await.map_err(classified)?;
             Ok(Recovered { requeued, failed })
         }
         .boxed()
@@ -321,8 +313,13 @@ impl JobStore for SqlStore {
 
     fn newest(&self) -> StoreFuture<'_, Option<JobId>> {
         async move {
-            let page = self.list(ListQuery { status: None, before: None, limit: 1 }).await?;
-            Ok(page.jobs.first().map(|job| job.id))
+            let mut rows = sqlx::query("SELECT id FROM jobs ORDER BY id DESC").fetch(&self.readers);
+            while let Some(row) = rows.try_next().await? {
+                if let Ok(id) = id(&row) {
+                    return Ok(Some(id));
+                }
+            }
+            Ok(None)
         }
         .boxed()
     }

@@ -202,6 +202,45 @@ async fn jobs_that_were_running_at_a_crash_run_one_at_a_time() {
 }
 
 #[tokio::test]
+async fn kills_in_company_give_nobody_up_and_lead_to_a_trial_alone() {
+    let fixture = Fixture::new().await;
+    let (first, second) = (fixture.insert().await, fixture.insert().await);
+    let (store, nothing) = (&fixture.store, Recovered::default());
+    for beside in [second.id, fixture.insert().await.id] {
+        assert_eq!([fixture.claim().await.0.id, fixture.claim().await.0.id], [first.id, beside]);
+        // With one crash a job would be given up.
+        assert_eq!(store.recover(1, 3_000).await.unwrap(), Recovered { requeued: 2, ..nothing });
+    }
+    for _ in 0..3 {
+        let (alone, lease) = fixture.claim().await;
+        assert_eq!((alone.id, alone.attempts), (first.id, 3));
+        fixture.insert().await;
+        assert_eq!(store.claim(&Lease::new(), 3_000).await.unwrap(), None, "nobody beside it");
+        assert!(store.release(alone.id, &lease, 3_000).await.unwrap(), "an orderly stop does not count");
+        assert_eq!(store.recover(1, 3_000).await.unwrap(), nothing);
+    }
+    fixture.claim().await;
+    assert_eq!(store.recover(1, 4_000).await.unwrap(), Recovered { failed: 1, ..nothing });
+    assert_eq!(fixture.get(first.id).await.error.map(|error| error.code).as_deref(), Some("crashed"));
+    assert_eq!(fixture.claim().await.0.id, second.id);
+}
+
+#[tokio::test]
+async fn a_trial_alone_waits_for_those_that_run_and_goes_before_those_that_wait() {
+    let fixture = Fixture::new().await;
+    let (busy, mut tried) = (fixture.insert().await, fixture.insert().await);
+    let (_, lease) = fixture.claim().await;
+    fixture.store.dismiss(tried.id, 2_000).await.unwrap();
+    fixture.store.delete(tried.id).await.unwrap();
+    fixture.insert().await;
+    tried.attempts = 2;
+    fixture.store.insert(&tried).await.unwrap();
+    assert_eq!(fixture.store.claim(&Lease::new(), 3_000).await.unwrap(), None, "it waits for the busy one");
+    assert!(fixture.store.succeed(busy.id, &lease, &[], 4_000).await.unwrap());
+    assert_eq!(fixture.claim().await.0.id, tried.id);
+}
+
+#[tokio::test]
 async fn pages_are_newest_first_and_hold_every_job_once() {
     let fixture = Fixture::new().await;
     let mut ids = Vec::new();
@@ -254,6 +293,26 @@ async fn an_unreadable_row_does_not_stop_the_queue() {
     assert_eq!(fixture.claim().await.0.id, sound.id);
     let counts = fixture.store.counts().await.unwrap();
     assert_eq!(counts, Counts { running: 1, failed: 1, ..Counts::default() });
+}
+
+#[tokio::test]
+async fn an_unreadable_row_hides_no_other() {
+    let fixture = Fixture::new().await;
+    let (oldest, sound, newest) = (fixture.insert().await, fixture.insert().await, fixture.insert().await);
+    let sql = "UPDATE jobs SET parameters = '{' WHERE id != (SELECT id FROM jobs ORDER BY id LIMIT 1 OFFSET 1) \
+               RETURNING id";
+    fixture.ask(sql).await;
+    let store = &fixture.store;
+    assert_eq!(store.newest().await.unwrap(), Some(newest.id), "ids go on from it");
+    let list = async |before, limit| {
+        let page = store.list(ListQuery { status: None, before, limit }).await.unwrap();
+        (page.jobs.iter().map(|job| job.id).collect::<Vec<_>>(), page.next)
+    };
+    assert_eq!(list(None, 10).await, (vec![sound.id], None));
+    assert_eq!(list(None, 1).await, (vec![], Some(newest.id)));
+    assert_eq!(list(Some(newest.id), 1).await, (vec![sound.id], Some(sound.id)));
+    assert_eq!(list(Some(sound.id), 1).await, (vec![], None));
+    assert!(store.dismiss(oldest.id, 2_000).await.unwrap() && store.delete(oldest.id).await.unwrap());
 }
 
 #[tokio::test]
