@@ -116,6 +116,11 @@ fn cut_planes(
         control.cancel.check()?;
         track.rings = rings(surface, graph, chain);
         track.stations = stations_of(&track.rings);
+        // An opening is no dome: a stump that was cut runs straight to it.
+        let leaf = from_tip.is_some() != to_tip.is_some() && !opens(chain.from) && !opens(chain.to);
+        if leaf && round_bulge(surface, track, from_tip.is_some()) {
+            return Ok(true);
+        }
         trim_tips(track, from_tip, to_tip);
         settle(surface, track);
         control.cancel.check()?;
@@ -126,10 +131,6 @@ fn cut_planes(
         track.reverse();
         march(surface, track, toward(from_tip));
         track.reverse();
-        // An opening is no dome: a stump that was cut runs straight to it.
-        if from_tip.is_some() != to_tip.is_some() && !opens(chain.from) && !opens(chain.to) {
-            round_bulge(surface, track, from_tip.is_some());
-        }
         Ok(trusted)
     })
     .collect()

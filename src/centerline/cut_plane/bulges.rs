@@ -1,4 +1,4 @@
-//! Bulges: sacs and stumps too short to show a section of their own (an aneurysm's dome).
+//! Bulges: sacs that show no section of their own (an aneurysm's dome).
 //!
 //! Their line runs straight from the joint through the middle of the dome to its far wall.
 
@@ -8,31 +8,30 @@ use crate::mesh::preparation::Surface;
 
 use crate::centerline::segmentation::track::{Bulge, SPACING, Sight, Station, Track};
 
-/// A branch whose clean sections reach less far than this (radii) is a bulge.
-const SHORT: f64 = 1.5;
-
-/// Finds the sphere of a bulge and drops its stations: its line is drawn once its joint is known.
-pub fn round_bulge(surface: &Surface, track: &mut Track, tip_first: bool) {
-    /// Largest deviation of a sac's wall from its sphere, in radii: the wall of a stump deviates more.
-    const ROUND: f64 = 0.1;
-    let clean: Vec<&Station> = track.stations.iter().filter(|s| s.sight == Sight::Clean).collect();
-    let length: f64 = clean.windows(2).map(|pair| (pair[1].point - pair[0].point).norm()).sum();
-    let widest = track.stations.iter().map(|s| s.section_radius).fold(0.0, f64::max);
-    if length >= SHORT * widest {
-        return;
-    }
+/// Finds a bulge by its level sets alone, whatever sections could be cut through it and the vessel
+/// together, and draws its line; returns whether it is one.
+pub fn round_bulge(surface: &Surface, track: &mut Track, tip_first: bool) -> bool {
+    /// Largest deviation (root mean square) of the wall from its sphere, in radii. Sacs of the phantoms
+    /// have up to 0.04, stumps of tubes 0.10 and more.
+    const DEVIATION: f64 = 0.06;
+    /// Largest distance of the tip from the base's centre, and largest sphere against the base: where it
+    /// is much larger, the rings lie flat.
+    const HEIGHT: f64 = 2.0;
+    const FLAT: f64 = 2.0;
     let points: Vec<Point3<f64>> = track.rings.iter().flat_map(|ring| ring.points.iter().copied()).collect();
-    let Some((centre, radius)) = sphere_through(&points) else { return };
-    let base = if tip_first { track.rings.last() } else { track.rings.first() };
-    let Some(base) = base else { return };
+    let Some((centre, radius)) = sphere_through(&points) else { return false };
+    let (Some(first), Some(last)) = (track.rings.first(), track.rings.last()) else { return false };
+    let (tip, base) = if tip_first { (first, last) } else { (last, first) };
     let deviation = |p: &Point3<f64>| ((p - centre).norm() / radius - 1.0).powi(2);
-    let rough = points.iter().map(deviation).sum::<f64>() / points.len() as f64;
-    // A sphere much larger than the rings on it means that they lie flat: no dome.
-    if radius > 2.0 * base.radius().max(widest) || rough.sqrt() > ROUND {
-        return;
+    let rough = (points.iter().map(deviation).sum::<f64>() / points.len() as f64).sqrt();
+    let height = (tip.centroid - base.centroid).norm();
+    if rough > DEVIATION || height > HEIGHT * radius || radius > FLAT * base.radius() {
+        return false;
     }
+    let joint = base.centroid;
     track.bulge = Some(Bulge { centre, radius });
-    track.stations = line_through(surface, track, &base.centroid, &centre, !tip_first);
+    track.stations = line_through(surface, track, &joint, &centre, !tip_first);
+    true
 }
 
 /// Stations of a bulge, straight from its joint to `end`; in reverse where the joint is the track's end.
