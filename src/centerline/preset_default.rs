@@ -15,6 +15,7 @@ use crate::centerline::cut_plane::bulges::{line_through, round_bulge};
 use crate::centerline::cut_plane::cross_sections::{judge_outward, recut, settle};
 use crate::centerline::cut_plane::march::{Toward, fill_gaps, march};
 use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, smooth, smooth_ring};
+use crate::centerline::recentering::displaced::settle_displaced;
 use crate::centerline::recentering::ends::{end_point, far_wall};
 use crate::centerline::recentering::joints::{Approach, joint_centre, run_to_centre};
 use crate::centerline::segmentation::level_sets::LevelSet;
@@ -42,6 +43,7 @@ pub fn extract_component(
     let mut network = Network::new(&graph, &chains);
     control.report(Stage::CutPlanes, 0.0)?;
     let trusted = cut_planes(surface, &graph, &chains, &mut network, control)?;
+    settle_displaced(surface, &mut network);
     network.contract_short(&trusted);
     control.report(Stage::LaplacianSmoothing, 0.0)?;
     network.tracks.par_iter_mut().for_each(|track| {

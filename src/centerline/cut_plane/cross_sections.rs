@@ -12,7 +12,9 @@ use crate::centerline::cut_plane::section::{Frame, Profile, Section};
 use crate::centerline::cut_plane::wall_fit::{accept_clean, judge, judge_end, wall_axis};
 use crate::centerline::laplacian_smoothing::curve_fit::fit_curve;
 use crate::centerline::segmentation::level_sets::LevelSet;
-use crate::centerline::segmentation::track::{Sight, Station, Track, section_from_rings, update_tangents};
+use crate::centerline::segmentation::track::{
+    Sight, Station, Track, section_from_rings, section_from_seeds, update_tangents,
+};
 
 /// Rounds of cutting and moving before sections are judged.
 const SETTLING: usize = 3;
@@ -227,7 +229,9 @@ pub fn recut(surface: &Surface, track: &mut Track) {
     let Track { rings, stations, .. } = track;
     for station in stations.iter_mut().filter(|s| s.sight == Sight::Clean) {
         let frame = Frame::new(station.point, station.tangent, station.frame.u);
-        let Some(cut) = section_from_rings(surface, frame, rings_near(rings, station.ring)) else { continue };
+        let near = station.seeds.and_then(|seeds| section_from_seeds(surface, frame, &seeds));
+        let from_rings = || section_from_rings(surface, frame, rings_near(rings, station.ring));
+        let Some(cut) = near.or_else(from_rings) else { continue };
         let before = station.clone();
         let expected = station.profile.clone();
         judge(surface, station, &cut, &expected);

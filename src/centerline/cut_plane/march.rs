@@ -118,10 +118,11 @@ fn look(
     station
 }
 
-/// Marches into every gap between stations, from both sides.
+/// Marches into every gap between stations, from both sides. What saw no wall is a gap.
 pub fn fill_gaps(surface: &Surface, track: &mut Track) {
     /// Distance between neighbours that is a gap, in radii.
     const GAP: f64 = 2.0 * SPACING;
+    track.stations.retain(|station| station.sight != Sight::Lost);
     let mut at = 0;
     while at + 1 < track.stations.len() {
         let (here, next) = (&track.stations[at], &track.stations[at + 1]);
