@@ -13,14 +13,12 @@ pub enum ExtractError {
     NotFinite { count: usize, first: String },
     #[error("{count} triangles name a vertex that is not there (triangle {first}); export the mesh again")]
     OutOfRange { count: usize, first: String },
-    #[error(
-        "the surface is a closed blob without ends or loops ({detail}); a centerline needs a tubular surface"
-    )]
+    #[error("the surface is no vessel ({detail}); a centerline needs a tubular surface")]
     NotTubular { detail: String },
     #[error("the surface is undersampled past use: {detail}; re-mesh it with shorter edges")]
     Undersampled { detail: String },
-    #[error("the surface cannot be made a closed manifold: {detail}; repair the mesh before sending it")]
-    NotManifold { detail: String },
+    #[error("the surface's diagonal is {diagonal:e}, out of 1e-30 to 1e30; scale the mesh")]
+    OutOfScale { diagonal: f64 },
     #[error("the extraction was cancelled")]
     Cancelled,
 }
@@ -35,7 +33,7 @@ impl ExtractError {
             ExtractError::OutOfRange { .. } => "out-of-range",
             ExtractError::NotTubular { .. } => "not-tubular",
             ExtractError::Undersampled { .. } => "undersampled",
-            ExtractError::NotManifold { .. } => "not-manifold",
+            ExtractError::OutOfScale { .. } => "out-of-scale",
             ExtractError::Cancelled => "cancelled",
         }
     }

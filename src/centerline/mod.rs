@@ -8,6 +8,7 @@ mod control;
 mod cut_plane;
 mod error;
 mod graph;
+mod homotopy;
 mod laplacian_smoothing;
 mod parameters;
 mod point_grid;
@@ -32,8 +33,8 @@ use crate::mesh::TriangleMesh;
 use crate::mesh::preparation::{PreparationError, PreparationReport, Prepared, Sites, Surface, prepare};
 use component::ComponentGraph;
 
-/// A component smaller than this share of the whole surface's diagonal is a speck of the segmentation.
-const SPECK: f64 = 0.01;
+/// A component smaller than this share of the largest one's diagonal is a speck of the segmentation.
+const SPECK: f64 = 0.02;
 
 /// Extracts the centerline of a vessel surface, component by component.
 ///
@@ -49,12 +50,16 @@ pub fn extract(
     control.report(Stage::Preparation, 0.0)?;
     let mut prepared = prepare(mesh)?;
     control.report(Stage::Preparation, 1.0)?;
+    let diagonal = prepared.report.diagonal;
+    // Lengths are kept in single precision on the way, squares in double.
+    if !(1e-30..=1e30).contains(&diagonal) {
+        return Err(ExtractError::OutOfScale { diagonal });
+    }
     let mut extraction = Extraction { surface: summary(&prepared), ..Extraction::default() };
     extraction.warnings = repair_warnings(&prepared.report);
-    let diagonal = prepared.report.diagonal;
     let mut refusal = None;
     let mut specks = 0;
-    let parts = parts(&prepared.components, diagonal);
+    let parts = parts(&prepared.components);
     for (index, (surface, part)) in prepared.components.iter_mut().zip(parts).enumerate() {
         let Some(part) = part else {
             specks += 1;
@@ -72,7 +77,10 @@ pub fn extract(
             Preset::Paper => preset_paper::extract_component(surface, diagonal, parameters, control),
         };
         match found {
-            Ok(graph) => append(&mut extraction, graph),
+            Ok(graph) => {
+                extraction.warnings.extend(homotopy::check(index, surface, &graph));
+                append(&mut extraction, graph);
+            }
             Err(ExtractError::Cancelled) => return Err(ExtractError::Cancelled),
             Err(error) => {
                 let detail = format!("component {index} has no centerline: {error}");
@@ -82,7 +90,7 @@ pub fn extract(
         }
     }
     if specks > 0 {
-        let detail = format!("{specks} components smaller than {SPECK} of the diagonal were left out");
+        let detail = format!("{specks} components smaller than {SPECK} of the largest were left out");
         extraction.warnings.push(Warning { code: "specks-skipped", detail });
     }
     match refusal {
@@ -92,8 +100,9 @@ pub fn extract(
 }
 
 /// The part of the work that each component is, by its vertices; `None` for specks.
-fn parts(components: &[Surface], diagonal: f64) -> Vec<Option<Part>> {
-    let is_speck = |surface: &Surface| surface.diagonal() < SPECK * diagonal;
+fn parts(components: &[Surface]) -> Vec<Option<Part>> {
+    let largest = components.iter().map(Surface::diagonal).fold(0.0, f64::max);
+    let is_speck = |surface: &Surface| surface.diagonal() < SPECK * largest;
     let vertices = |surface: &Surface| surface.mesh.vertices.len() as f64;
     let total: f64 = components.iter().filter(|surface| !is_speck(surface)).map(vertices).sum();
     let mut before = 0.0;

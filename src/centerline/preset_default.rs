@@ -13,13 +13,13 @@ use crate::centerline::connection::network::Network;
 use crate::centerline::connection::subsampling::{Anchor, settle_radii};
 use crate::centerline::cut_plane::bulges::{line_through, round_bulge};
 use crate::centerline::cut_plane::cross_sections::{judge_outward, recut, settle};
-use crate::centerline::cut_plane::march::{Toward, fill_gaps, march};
+use crate::centerline::cut_plane::march::{Toward, close_ring, fill_gaps, march};
 use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, smooth, smooth_ring};
 use crate::centerline::recentering::displaced::settle_displaced;
-use crate::centerline::recentering::ends::{end_point, far_wall};
+use crate::centerline::recentering::ends::{EndPoint, end_point, far_wall};
 use crate::centerline::recentering::joints::{Approach, joint_centre, run_to_centre};
 use crate::centerline::segmentation::level_sets::LevelSet;
-use crate::centerline::segmentation::track::{Track, rings, stations_of};
+use crate::centerline::segmentation::track::{Sight, Track, rings, stations_of};
 use crate::centerline::tips::geodesic::{EdgeGraph, geodesic};
 use crate::centerline::tips::reeb::{ReebGraph, reeb_graph};
 use crate::centerline::tips::root::roots;
@@ -43,6 +43,10 @@ pub fn extract_component(
     let mut network = Network::new(&graph, &chains);
     control.report(Stage::CutPlanes, 0.0)?;
     let trusted = cut_planes(surface, &graph, &chains, &mut network, control)?;
+    if network.tracks.iter().all(|track| track.stations.iter().all(|s| s.sight != Sight::Clean)) {
+        let detail = "no plane cuts it in a closed section that is one vessel's own".to_owned();
+        return Err(ExtractError::Undersampled { detail });
+    }
     settle_displaced(surface, &mut network);
     network.contract_short(&trusted);
     control.report(Stage::LaplacianSmoothing, 0.0)?;
@@ -113,8 +117,9 @@ fn cut_planes(
         .zip(chains)
         .map(|(track, chain)| (tip(track.from, chain.from), tip(track.to, chain.to)))
         .collect();
-    let work = network.tracks.par_iter_mut().zip(chains).zip(&ends);
-    work.map(|((track, chain), &(from_tip, to_tip))| {
+    let rings_alone: Vec<bool> = network.tracks.iter().map(|track| network.is_ring(track.from)).collect();
+    let work = network.tracks.par_iter_mut().zip(chains).zip(&ends).zip(rings_alone);
+    work.map(|(((track, chain), &(from_tip, to_tip)), ring)| {
         control.cancel.check()?;
         track.rings = rings(surface, graph, chain);
         track.stations = stations_of(&track.rings);
@@ -129,6 +134,10 @@ fn cut_planes(
         let trusted = judge_outward(surface, track);
         let toward = |tip: Option<f64>| if tip.is_some() { Toward::Cap } else { Toward::Joint };
         fill_gaps(surface, track);
+        if ring {
+            close_ring(surface, track);
+            return Ok(trusted);
+        }
         march(surface, track, toward(to_tip));
         track.reverse();
         march(surface, track, toward(from_tip));
@@ -232,7 +241,8 @@ fn meet(surface: &Surface, network: &mut Network, node: usize) {
     for &(track, at_end) in &incident {
         approaches.extend(network.oriented(track, at_end, |track| Approach::of(track)));
     }
-    let prior = network.prior(&incident);
+    let on_wall = surface.mesh.vertices[network.nodes[node].vertex as usize];
+    let prior = network.prior(&incident).unwrap_or(on_wall);
     let centre = joint_centre(&approaches, &prior);
     let radius = network.joint_radius(&incident);
     network.nodes[node].anchor = Some(Anchor { point: centre, radius });
@@ -240,7 +250,8 @@ fn meet(surface: &Surface, network: &mut Network, node: usize) {
         let track = &network.tracks[index];
         if let Some(bulge) = &track.bulge {
             let far = if at_end { track.from } else { track.to };
-            let Some(end) = far_wall(surface, bulge, &centre) else { continue };
+            let tip = surface.mesh.vertices[network.nodes[far].vertex as usize];
+            let end = far_wall(surface, bulge, &centre).unwrap_or(EndPoint { point: tip, radius: 0.0 });
             let stations = line_through(surface, track, &centre, &end.point, !at_end);
             network.nodes[far].anchor = Some(Anchor { point: end.point, radius: end.radius });
             network.tracks[index].stations = stations;
@@ -265,13 +276,20 @@ fn lead_in(surface: &Surface, network: &mut Network, incident: &[(usize, bool)],
     }
 }
 
-/// A closed blob has one short branch: no vessel.
+/// What is no vessel: a closed blob with one short branch, a sheet without a lumen.
 pub(in crate::centerline) fn refuse_blob(
     surface: &Surface,
     graph: &ComponentGraph,
 ) -> Result<(), ExtractError> {
+    /// Least volume of a lumen against its wall's area times the line's radius; a tube has a half.
+    const LUMEN: f64 = 0.02;
+    let radii = graph.branches.iter().flat_map(|branch| branch.radii.iter().copied());
+    let widest = radii.fold(0.0, f64::max);
+    if surface.volume() < LUMEN * surface.area() * widest {
+        let detail = "it encloses no lumen: it is a sheet".to_owned();
+        return Err(ExtractError::NotTubular { detail });
+    }
     let [branch] = &graph.branches[..] else { return Ok(()) };
-    let widest = branch.radii.iter().copied().fold(0.0, f64::max);
     let is_blob = surface.openings.len() < 2 && branch.from != branch.to && branch.length() < 2.5 * widest;
     if is_blob {
         let detail = format!("its line would be {:.3} long at a radius of {widest:.3}", branch.length());

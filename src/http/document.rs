@@ -115,7 +115,7 @@ fn description() -> String {
          Post a mesh, follow its job, get the centerline. A job is durable once it is answered with 201.\n\n\
          Errors are problem details (RFC 9457) whose `type` is `{prefix}` and one of the words below; a failed \
          job's `error` has the words of the method's own failures too (`no-triangles`, `all-degenerate`, \
-         `not-tubular`, `undersampled`, `not-manifold`). A word never changes its meaning.\n\n\
+         `not-finite`, `out-of-range`, `out-of-scale`, `not-tubular`, `undersampled`). A word never changes its meaning.\n\n\
          | word | status | title |\n| --- | --- | --- |\n",
         prefix = problem::TYPE_PREFIX,
     );

@@ -51,6 +51,15 @@ impl Surface {
         diagonal(&self.mesh)
     }
 
+    /// Area of the wall, caps included, in squared units of the input.
+    pub fn area(&self) -> f64 {
+        let of = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|v| self.mesh.vertices[v as usize]);
+            (b - a).cross(&(c - a)).norm()
+        };
+        0.5 * self.mesh.triangles.iter().map(of).sum::<f64>()
+    }
+
     /// Enclosed volume, in cubed units of the input.
     pub fn volume(&self) -> f64 {
         signed_volume(&self.mesh)

@@ -89,16 +89,16 @@ impl Network {
         result
     }
 
-    /// Middle of the stations nearest to a joint.
-    pub fn prior(&self, incident: &[(usize, bool)]) -> Point3<f64> {
+    /// Middle of the stations nearest to a joint; `None` where no branch has any.
+    pub fn prior(&self, incident: &[(usize, bool)]) -> Option<Point3<f64>> {
         let nearest = incident.iter().filter_map(|&(track, at_end)| {
             let stations = &self.tracks[track].stations;
             if at_end { stations.last() } else { stations.first() }
         });
         let points: Vec<Point3<f64>> = nearest.map(|station| station.point).collect();
-        let Some(&origin) = points.first() else { return Point3::origin() };
+        let origin = *points.first()?;
         let sum: Vector3<f64> = points.iter().map(|p| p - origin).sum();
-        origin + sum / points.len() as f64
+        Some(origin + sum / points.len() as f64)
     }
 
     /// Radius at a joint: that of the widest branch there.

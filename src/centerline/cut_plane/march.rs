@@ -147,3 +147,12 @@ pub fn fill_gaps(surface: &Surface, track: &mut Track) {
     }
     update_tangents(&mut track.stations);
 }
+
+/// Marches from the last station of a ring without junctions to its first, and back where sections end.
+pub fn close_ring(surface: &Surface, track: &mut Track) {
+    for _ in 0..2 {
+        let Some(first) = track.stations.first().map(|station| station.point) else { return };
+        march(surface, track, Toward::Station(first));
+        track.reverse();
+    }
+}

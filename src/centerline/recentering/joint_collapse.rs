@@ -60,21 +60,21 @@ impl<'a> Joints<'a> {
     }
 }
 
-/// The centre of a joint; takes the samples that are nearer to it than the branches' radii off the branches.
+/// The centre of a joint, `None` where no branch has a sample; takes the samples that are nearer to it than the branches' radii off the branches.
 pub fn meet(
     network: &mut Network,
     incident: &[(usize, bool)],
     centre: &impl Fn(&Point3<f64>, f64) -> Option<Point3<f64>>,
-) -> Anchor {
+) -> Option<Anchor> {
     let radius = network.joint_radius(incident);
-    let mut expected = network.prior(incident);
+    let mut expected = network.prior(incident)?;
     for _ in 0..2 {
         expected = crossing(network, incident).unwrap_or(expected);
         clear(network, incident, &expected);
     }
     let point = centre(&expected, thinnest(network, incident)).unwrap_or(expected);
     clear(network, incident, &point);
-    Anchor { point, radius }
+    Some(Anchor { point, radius })
 }
 
 /// The least radius where the branches meet: a thin one leaves the line of a wide one alone but for its own width.
