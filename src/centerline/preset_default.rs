@@ -60,6 +60,7 @@ pub fn extract_component(
     control.report(Stage::Connection, 0.0)?;
     let result = network.connect();
     refuse_blob(surface, &result)?;
+    control.report(Stage::Connection, 1.0)?;
     Ok(result)
 }
 

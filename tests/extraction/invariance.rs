@@ -69,9 +69,10 @@ fn changes() -> Vec<Change> {
 
 /// How far, in diagonals, each change moves the line of `mesh`; fails where that is too far.
 fn check(name: &str, mesh: &TriangleMesh, preset: Preset, changes: &[Change]) {
-    let before = extracted(mesh, preset).unwrap();
+    let before = extracted(mesh, preset).unwrap_or_else(|error| panic!("{name}: {error}"));
     for change in changes {
-        let after = change.undone(extracted(&change.of(mesh), preset).unwrap());
+        let changed = extracted(&change.of(mesh), preset);
+        let after = change.undone(changed.unwrap_or_else(|error| panic!("{name} {change:?}: {error}")));
         assert_eq!(
             parts_and_loops(&before.centerline),
             parts_and_loops(&after.centerline),

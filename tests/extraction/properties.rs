@@ -80,7 +80,6 @@ fn progress_never_falls() {
 }
 
 #[test]
-#[ignore = "the preset default's last word is connection at 0"]
 fn progress_ends_at_one() {
     assert_eq!(told(Preset::Default).last(), Some(&(Stage::Connection, 1.0)));
 }

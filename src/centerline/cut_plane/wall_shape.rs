@@ -22,6 +22,8 @@ pub struct WallShape {
     pub ellipse: [f64; 2],
     /// Change of the distance along the axis.
     pub slope: f64,
+    /// Distance of the nearest wall in the section.
+    pub nearest: f64,
     /// Mean extent along the axis of the triangles that the section crosses: closer sections say
     /// much the same.
     pub grain: f64,
@@ -29,13 +31,16 @@ pub struct WallShape {
 
 impl WallShape {
     pub fn circle(radius: f64) -> Self {
-        Self { mean: radius, ..Self::default() }
+        Self { mean: radius, nearest: radius, ..Self::default() }
     }
 
     /// Radius of the largest sphere about the station: the short half axis, seen square to the
     /// sloping wall.
     pub fn inscribed(&self) -> f64 {
-        let short = self.mean - self.ellipse[0].hypot(self.ellipse[1]);
+        /// A wall that is farther from a circle than this (share of its radius) is no noisy circle.
+        const FLAT: f64 = 0.15;
+        let flatness = self.ellipse[0].hypot(self.ellipse[1]);
+        let short = if flatness < FLAT * self.mean { self.mean - flatness } else { self.nearest };
         (short / (1.0 + self.slope * self.slope).sqrt()).max(0.05 * self.mean)
     }
 
@@ -73,16 +78,19 @@ impl WallShape {
             count += 1;
         }
         let grain = grain(surface, cut);
+        let nearest = cut.distance(centre);
         if count < 2 * TERMS {
-            return Self { grain, ..Self::circle(radius) };
+            return Self { grain, nearest, ..Self::circle(radius) };
         }
         // Holds what the vertices leave open (a single ring says nothing of the slope).
         for i in 1..TERMS {
             normal[(i, i)] += 5e-4 * count as f64;
         }
-        let Some(cholesky) = normal.cholesky() else { return Self { grain, ..Self::circle(radius) } };
+        let Some(cholesky) = normal.cholesky() else {
+            return Self { grain, nearest, ..Self::circle(radius) };
+        };
         let fit = cholesky.solve(&right);
-        Self { mean: fit[0], ellipse: [fit[3], fit[4]], slope: fit[5] / radius, grain }
+        Self { mean: fit[0], ellipse: [fit[3], fit[4]], slope: fit[5] / radius, nearest, grain }
     }
 
     /// Weighted mean of neighbouring shapes (their frames do not spin).
@@ -94,6 +102,7 @@ impl WallShape {
             sum.ellipse[0] += weight * shape.ellipse[0];
             sum.ellipse[1] += weight * shape.ellipse[1];
             sum.slope += weight * shape.slope;
+            sum.nearest += weight * shape.nearest;
             sum.grain += weight * shape.grain;
             total += weight;
         }
@@ -102,6 +111,7 @@ impl WallShape {
             mean: sum.mean * scale,
             ellipse: sum.ellipse.map(|term| term * scale),
             slope: sum.slope * scale,
+            nearest: sum.nearest * scale,
             grain: sum.grain * scale,
         }
     }

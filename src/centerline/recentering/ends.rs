@@ -5,7 +5,7 @@ use nalgebra::{Point3, Vector3};
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
-use crate::centerline::segmentation::track::{Bulge, Track};
+use crate::centerline::segmentation::track::{Bulge, Station, Track};
 
 /// Where the line of a track, continued past its last station, meets the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,11 +50,12 @@ pub fn far_wall(surface: &Surface, bulge: &Bulge, joint: &Point3<f64>) -> Option
     Some(EndPoint { point: bulge.centre + direction * distance, radius: 0.05 * bulge.radius })
 }
 
-/// Radius continued by `distance` from the slope over the last radius of length, never below a
+/// Radius continued by `distance` from the slope over the last two radii of length, never below a
 /// twentieth of the last.
 fn continued_radius(track: &Track, distance: f64) -> f64 {
     let Some(last) = track.stations.last() else { return 0.0 };
-    let before = track.stations.iter().rev().find(|s| (s.point - last.point).norm() > last.section_radius);
+    let far = |s: &&Station| (s.point - last.point).norm() > 2.0 * last.section_radius;
+    let before = track.stations.iter().rev().find(far);
     let slope = before.map_or(0.0, |s| (last.radius - s.radius) / (last.point - s.point).norm());
     (last.radius + slope * distance).clamp(0.05 * last.radius, 1.5 * last.radius)
 }

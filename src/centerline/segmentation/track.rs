@@ -194,8 +194,15 @@ pub fn section_from_rings<'a>(
     let mut nearest: Option<(f64, Section)> = None;
     let origin = nalgebra::Point2::origin();
     let mut seen: Vec<u32> = Vec::new();
-    for ring in rings {
-        for seed in crossings(ring, &frame) {
+    for (number, ring) in rings.enumerate() {
+        let mut seeds: Vec<u32> = crossings(ring, &frame).collect();
+        if number == 0 && seeds.is_empty() {
+            // A ring that lies in the plane, or beside it, does not cross it.
+            let n = ring.triangles.len();
+            let around = (0..SEEDS.min(n)).map(|i| ring.triangles[i * n / SEEDS.min(n)]);
+            seeds.extend(around.filter_map(|t| walk_to_plane(surface, &frame, t)));
+        }
+        for seed in seeds {
             if seen.binary_search(&seed).is_ok() {
                 continue;
             }
