@@ -14,6 +14,7 @@ use crate::centerline::connection::subsampling::{Anchor, settle_radii};
 use crate::centerline::cut_plane::bulges::{line_through, round_bulge};
 use crate::centerline::cut_plane::cross_sections::{judge_outward, recut, settle};
 use crate::centerline::cut_plane::march::{Toward, close_ring, fill_gaps, march};
+use crate::centerline::cut_plane::ownership::{Wall, owners};
 use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, smooth, smooth_ring};
 use crate::centerline::recentering::displaced::settle_displaced;
 use crate::centerline::recentering::ends::{EndPoint, end_point, far_wall};
@@ -42,12 +43,13 @@ pub fn extract_component(
     let (graph, chains) = segment(surface, parameters.tip_height(), control)?;
     let mut network = Network::new(&graph, &chains);
     control.report(Stage::CutPlanes, 0.0)?;
-    let trusted = cut_planes(surface, &graph, &chains, &mut network, control)?;
+    let owners = owners(surface, &graph, &chains);
+    let trusted = cut_planes(surface, &graph, &chains, &owners, &mut network, control)?;
     if network.tracks.iter().all(|track| track.stations.iter().all(|s| s.sight != Sight::Clean)) {
         let detail = "no plane cuts it in a closed section that is one vessel's own".to_owned();
         return Err(ExtractError::Undersampled { detail });
     }
-    settle_displaced(surface, &mut network);
+    settle_displaced(surface, &owners, &mut network);
     network.contract_short(&trusted);
     control.report(Stage::LaplacianSmoothing, 0.0)?;
     network.tracks.par_iter_mut().for_each(|track| {
@@ -104,6 +106,7 @@ fn cut_planes(
     surface: &Surface,
     graph: &ReebGraph,
     chains: &[Chain],
+    owners: &[u32],
     network: &mut Network,
     control: &Control<'_>,
 ) -> Result<Vec<bool>, ExtractError> {
@@ -119,8 +122,8 @@ fn cut_planes(
         .map(|(track, chain)| (tip(track.from, chain.from), tip(track.to, chain.to)))
         .collect();
     let rings_alone: Vec<bool> = network.tracks.iter().map(|track| network.is_ring(track.from)).collect();
-    let work = network.tracks.par_iter_mut().zip(chains).zip(&ends).zip(rings_alone);
-    work.map(|(((track, chain), &(from_tip, to_tip)), ring)| {
+    let work = network.tracks.par_iter_mut().zip(chains).zip(&ends).zip(rings_alone).enumerate();
+    work.map(|(number, (((track, chain), &(from_tip, to_tip)), ring))| {
         control.cancel.check()?;
         track.rings = rings(surface, graph, chain);
         track.stations = stations_of(&track.rings);
@@ -132,16 +135,17 @@ fn cut_planes(
         trim_tips(track, from_tip, to_tip);
         settle(surface, track);
         control.cancel.check()?;
-        let trusted = judge_outward(surface, track);
+        let wall = Wall::new(surface, owners, number);
+        let trusted = judge_outward(wall, track);
         let toward = |tip: Option<f64>| if tip.is_some() { Toward::Cap } else { Toward::Joint };
-        fill_gaps(surface, track);
+        fill_gaps(wall, track);
         if ring {
-            close_ring(surface, track);
+            close_ring(wall, track);
             return Ok(trusted);
         }
-        march(surface, track, toward(to_tip));
+        march(wall, track, toward(to_tip));
         track.reverse();
-        march(surface, track, toward(from_tip));
+        march(wall, track, toward(from_tip));
         track.reverse();
         Ok(trusted)
     })

@@ -8,6 +8,7 @@ use nalgebra::{Matrix3, Point3, Unit};
 
 use crate::mesh::preparation::Surface;
 
+use crate::centerline::cut_plane::ownership::Wall;
 use crate::centerline::cut_plane::section::{Frame, Profile, Section};
 use crate::centerline::cut_plane::wall_fit::{accept_clean, judge, judge_end, wall_axis};
 use crate::centerline::laplacian_smoothing::curve_fit::fit_curve;
@@ -92,7 +93,7 @@ fn reference(stations: &[Station]) -> Option<(usize, bool)> {
 /// Judges every station outward from the surest one and drops what lies beyond the last clean ones.
 ///
 /// Returns whether any section was surely this branch alone.
-pub fn judge_outward(surface: &Surface, track: &mut Track) -> bool {
+pub fn judge_outward(wall: Wall<'_>, track: &mut Track) -> bool {
     let Some((middle, trusted)) = reference(&track.stations) else {
         keep_ring_centres(&mut track.stations);
         return false;
@@ -103,10 +104,10 @@ pub fn judge_outward(surface: &Surface, track: &mut Track) -> bool {
         station.weight = Matrix3::zeros();
     }
     let n = stations.len();
-    let inner = inner_stations(stations);
+    let inner = inner_stations(stations, stations[middle].section_radius);
     let outward: [Vec<usize>; 2] = [(middle + 1..n).collect(), (0..middle).rev().collect()];
     for way in outward {
-        judge_way(surface, rings, stations, middle, &way, &inner);
+        judge_way(wall, rings, stations, middle, &way, &inner);
     }
     let last = last_own(stations[middle..].iter()) + middle;
     let first = middle - last_own(stations[..=middle].iter().rev());
@@ -119,7 +120,7 @@ pub fn judge_outward(surface: &Surface, track: &mut Track) -> bool {
     }
     update_tangents(stations);
     if let [alone] = &mut stations[..] {
-        straighten(surface, rings, alone);
+        straighten(wall.surface, rings, alone);
     }
     trusted
 }
@@ -143,7 +144,7 @@ fn straighten(surface: &Surface, rings: &[LevelSet], station: &mut Station) {
 
 /// Judges the stations of one way outward from `middle`, each by the wall of those before it.
 fn judge_way(
-    surface: &Surface,
+    wall: Wall<'_>,
     rings: &[LevelSet],
     stations: &mut [Station],
     middle: usize,
@@ -160,14 +161,16 @@ fn judge_way(
         let frame = Frame::new(stations[i].point, stations[i].tangent, like);
         before = i;
         stations[i].frame = frame;
-        let Some(cut) = section_from_rings(surface, frame, rings_near(rings, stations[i].ring)) else {
+        let Some(cut) = section_from_rings(wall.surface, frame, rings_near(rings, stations[i].ring)) else {
             continue;
         };
-        judge(surface, &mut stations[i], &cut, &expected);
-        if stations[i].sight != Sight::Clean && inner[i] && is_one_vessel(&cut, &expected) {
-            let own = Profile::circle(cut.measure().radius());
+        judge(wall.surface, &mut stations[i], &cut, &expected);
+        let own = Profile::circle(cut.measure().radius());
+        if stations[i].sight != Sight::Clean && inner[i] && is_own(wall, &cut) {
+            judge_end(wall.surface, &mut stations[i], &cut, &own, MOSTLY_WALL);
+        } else if stations[i].sight != Sight::Clean && inner[i] && is_one_vessel(&cut, &expected) {
             let expected = if misses < PATIENCE { &expected } else { &own };
-            judge_end(surface, &mut stations[i], &cut, expected, MOSTLY_WALL);
+            judge_end(wall.surface, &mut stations[i], &cut, expected, MOSTLY_WALL);
         }
         if stations[i].sight == Sight::Clean {
             expected.blend(&stations[i].profile, if misses < PATIENCE { 0.5 } else { 1.0 });
@@ -176,6 +179,15 @@ fn judge_way(
             misses += 1;
         }
     }
+}
+
+/// Whether a section is the branch's own whatever its size: on its own wall, and not as long as a figure
+/// of two vessels.
+pub fn is_own(wall: Wall<'_>, cut: &Section) -> bool {
+    const LONG: f64 = 2.2;
+    let measure = cut.measure();
+    let round = || Profile::of(cut, &measure.centroid, measure.radius()).roundness() < LONG;
+    measure.area > 0.0 && wall.owns(cut) && round()
 }
 
 /// Whether a section is no figure of two vessels side by side: those are larger than what was expected,
@@ -189,16 +201,15 @@ pub fn is_one_vessel(cut: &Section, expected: &Profile) -> bool {
 
 /// The stations so far from both ends that no joint reaches them: their sections are the branch's own,
 /// however the vessel changes there.
-fn inner_stations(stations: &[Station]) -> Vec<bool> {
-    /// Reach of a joint, in radii.
+fn inner_stations(stations: &[Station], radius: f64) -> Vec<bool> {
+    /// Reach of a joint, in radii of the surest section: a bulb on the way is wider.
     const JOINT: f64 = 3.0;
     let mut along = vec![0.0];
     for pair in stations.windows(2) {
         along.push(along[along.len() - 1] + (pair[1].point - pair[0].point).norm());
     }
     let total = along[along.len() - 1];
-    let inner = |(station, s): (&Station, &f64)| s.min(total - s) > JOINT * station.section_radius;
-    stations.iter().zip(&along).map(inner).collect()
+    along.iter().map(|s| s.min(total - s) > JOINT * radius).collect()
 }
 
 /// How far outward, from a clean first station, the stations are the branch's own. After a gap a run of

@@ -2,15 +2,14 @@
 
 use nalgebra::{Point2, Point3, Unit};
 
-use crate::mesh::preparation::Surface;
-
 use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
 use crate::centerline::segmentation::track::{
     SPACING, Sight, Station, Track, section_from_rings, section_from_seeds, update_tangents,
 };
 
-use super::cross_sections::{MOSTLY_WALL, is_one_vessel, nearest_ring, rings_near};
-use super::section::Frame;
+use super::cross_sections::{MOSTLY_WALL, is_one_vessel, is_own, nearest_ring, rings_near};
+use super::ownership::Wall;
+use super::section::{Frame, Profile};
 use super::wall_fit::{judge, judge_end};
 
 /// Share of a section's length that must be wall toward a cap: it would tilt the line as soon as
@@ -29,7 +28,7 @@ pub enum Toward {
 }
 
 /// Walks on from the last station while sections stay clean. O(sections x triangles cut).
-pub fn march(surface: &Surface, track: &mut Track, toward: Toward) {
+pub fn march(wall: Wall<'_>, track: &mut Track, toward: Toward) {
     const LIMIT: usize = 400;
     /// Shortest step, in radii.
     const LEAST: f64 = 0.15;
@@ -41,7 +40,7 @@ pub fn march(surface: &Surface, track: &mut Track, toward: Toward) {
         if is_past(track, &toward, last, &point, &tangent) {
             break;
         }
-        let station = look(surface, track, last, point, tangent, &toward);
+        let station = look(wall, track, last, point, tangent, &toward);
         if station.sight == Sight::Clean && (station.target - point).norm() < 0.5 * radius {
             track.stations.push(Station { point: station.target, ..station });
         } else if step > LEAST {
@@ -92,13 +91,14 @@ fn is_past(
 
 /// A station at `point`, judged by its section.
 fn look(
-    surface: &Surface,
+    wall: Wall<'_>,
     track: &Track,
     last: &Station,
     point: Point3<f64>,
     tangent: Unit<nalgebra::Vector3<f64>>,
     toward: &Toward,
 ) -> Station {
+    let surface = wall.surface;
     let ring = nearest_ring(&track.rings, &point);
     let mut station = Station::rough(point, tangent, last.section_radius, ring);
     station.frame = Frame::new(point, tangent, last.frame.u);
@@ -112,14 +112,17 @@ fn look(
     }
     judge(surface, &mut station, &cut, &last.profile);
     let inner = matches!(toward, Toward::Station(_));
-    if inner && station.sight != Sight::Clean && is_one_vessel(&cut, &last.profile) {
+    if inner && station.sight != Sight::Clean && is_own(wall, &cut) {
+        let own = Profile::circle(cut.measure().radius());
+        judge_end(surface, &mut station, &cut, &own, MOSTLY_WALL);
+    } else if inner && station.sight != Sight::Clean && is_one_vessel(&cut, &last.profile) {
         judge_end(surface, &mut station, &cut, &last.profile, MOSTLY_WALL);
     }
     station
 }
 
 /// Marches into every gap between stations, from both sides. What saw no wall is a gap.
-pub fn fill_gaps(surface: &Surface, track: &mut Track) {
+pub fn fill_gaps(wall: Wall<'_>, track: &mut Track) {
     /// Distance between neighbours that is a gap, in radii.
     const GAP: f64 = 2.0 * SPACING;
     track.stations.retain(|station| station.sight != Sight::Lost);
@@ -134,12 +137,12 @@ pub fn fill_gaps(surface: &Surface, track: &mut Track) {
         }
         let behind = track.stations.split_off(at + 1);
         let after = behind.len();
-        march(surface, track, Toward::Station(behind[0].point));
+        march(wall, track, Toward::Station(behind[0].point));
         let reached = track.stations[track.stations.len() - 1].point;
         let rings = std::mem::take(&mut track.rings);
         let mut rest = Track { rings, stations: behind, ..track.clone() };
         rest.reverse();
-        march(surface, &mut rest, Toward::Station(reached));
+        march(wall, &mut rest, Toward::Station(reached));
         rest.reverse();
         track.rings = std::mem::take(&mut rest.rings);
         track.stations.append(&mut rest.stations);
@@ -149,10 +152,10 @@ pub fn fill_gaps(surface: &Surface, track: &mut Track) {
 }
 
 /// Marches from the last station of a ring without junctions to its first, and back where sections end.
-pub fn close_ring(surface: &Surface, track: &mut Track) {
+pub fn close_ring(wall: Wall<'_>, track: &mut Track) {
     for _ in 0..2 {
         let Some(first) = track.stations.first().map(|station| station.point) else { return };
-        march(surface, track, Toward::Station(first));
+        march(wall, track, Toward::Station(first));
         track.reverse();
     }
 }

@@ -4,6 +4,7 @@ pub mod bulges;
 pub mod cross_sections;
 pub mod march;
 pub mod normal_lines;
+pub mod ownership;
 pub mod section;
 pub mod wall_fit;
 pub mod wall_shape;

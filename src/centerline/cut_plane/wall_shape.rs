@@ -41,7 +41,7 @@ impl WallShape {
         const FLAT: f64 = 0.15;
         let flatness = self.ellipse[0].hypot(self.ellipse[1]);
         let short = if flatness < FLAT * self.mean { self.mean - flatness } else { self.nearest };
-        (short / (1.0 + self.slope * self.slope).sqrt()).max(0.05 * self.mean)
+        (short / (1.0 + self.slope * self.slope).sqrt()).max(0.05 * self.nearest)
     }
 
     /// Least squares over the vertices of the triangles that the section crosses, about `centre`.

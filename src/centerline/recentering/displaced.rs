@@ -11,6 +11,7 @@ use crate::mesh::preparation::Surface;
 
 use crate::centerline::connection::network::Network;
 use crate::centerline::cut_plane::march::{Toward, march};
+use crate::centerline::cut_plane::ownership::Wall;
 use crate::centerline::segmentation::track::{Sight, Station, Track};
 
 /// A joint is displaced when it lies farther than this (radii) along a track from where another ends.
@@ -22,7 +23,7 @@ const NEAR: f64 = 1.2;
 const RUN: usize = 4;
 
 /// Moves every displaced joint of three tracks to its place. O(joints x stations).
-pub fn settle_displaced(surface: &Surface, network: &mut Network) {
+pub fn settle_displaced(surface: &Surface, owners: &[u32], network: &mut Network) {
     for node in 0..network.nodes.len() {
         let incident = network.incident(node);
         let &[a, b, c] = &incident[..] else { continue };
@@ -33,7 +34,7 @@ pub fn settle_displaced(surface: &Surface, network: &mut Network) {
             .filter(|_| distinct)
             .find_map(|(carrier, owner, ending)| misplaced(network, carrier, owner, ending))
         {
-            hand_over(surface, network, carrier, owner, place);
+            hand_over(surface, owners, network, carrier, owner, place);
         }
     }
 }
@@ -70,6 +71,7 @@ fn last_clean(track: &Track) -> Option<Point3<f64>> {
 /// Gives the carrier's stations before `place` to the end of the owner.
 fn hand_over(
     surface: &Surface,
+    owners: &[u32],
     network: &mut Network,
     carrier: (usize, bool),
     owner: (usize, bool),
@@ -84,7 +86,7 @@ fn hand_over(
         let firm = own.iter().rposition(|&(length, sight)| sight == Sight::Clean && length >= RUN);
         let keep: usize = own[..firm.map_or(own.len(), |last| last + 1)].iter().map(|run| run.0).sum();
         track.stations.truncate(keep);
-        march(surface, track, Toward::Joint);
+        march(Wall::new(surface, owners, carrier.0), track, Toward::Joint);
         piece
     });
     network.oriented(owner.0, owner.1, |track| {

@@ -57,7 +57,8 @@ fn continued_radius(track: &Track, distance: f64) -> f64 {
     let far = |s: &&Station| (s.point - last.point).norm() > 2.0 * last.section_radius;
     let before = track.stations.iter().rev().find(far);
     let slope = before.map_or(0.0, |s| (last.radius - s.radius) / (last.point - s.point).norm());
-    (last.radius + slope * distance).clamp(0.05 * last.radius, 1.5 * last.radius)
+    let radius = last.radius.max(0.0);
+    (radius + slope * distance).clamp(0.05 * radius, 1.5 * radius)
 }
 
 /// Nearest crossing of a ray from inside with a triangle that faces away from it (Moller and Trumbore 1997).
