@@ -5,6 +5,7 @@
 mod component;
 mod connection;
 mod control;
+mod coverage;
 mod cut_plane;
 mod error;
 mod graph;
@@ -79,6 +80,7 @@ pub fn extract(
         match found {
             Ok(graph) => {
                 extraction.warnings.extend(homotopy::check(index, surface, &graph));
+                extraction.warnings.extend(coverage::check(index, surface, &graph));
                 append(&mut extraction, graph);
             }
             Err(ExtractError::Cancelled) => return Err(ExtractError::Cancelled),

@@ -11,6 +11,7 @@ use crate::mesh::preparation::{Opening, Surface};
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::connection::network::Network;
 use crate::centerline::connection::subsampling::{Anchor, settle_radii};
+use crate::centerline::connection::unsupported;
 use crate::centerline::cut_plane::bulges::{line_through, round_bulge};
 use crate::centerline::cut_plane::cross_sections::{judge_outward, recut, settle};
 use crate::centerline::cut_plane::march::{Toward, close_ring, fill_gaps, march};
@@ -60,7 +61,8 @@ pub fn extract_component(
     reach_ends(surface, &mut network, control)?;
     meet_in_joints(surface, &mut network, control)?;
     control.report(Stage::Connection, 0.0)?;
-    let result = network.connect();
+    let mut result = network.connect();
+    result.warnings = unsupported::check(surface, &network);
     refuse_blob(surface, &result)?;
     control.report(Stage::Connection, 1.0)?;
     Ok(result)

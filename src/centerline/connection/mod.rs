@@ -6,6 +6,7 @@
 
 pub mod network;
 pub mod subsampling;
+pub mod unsupported;
 
 use nalgebra::{Point3, Vector3};
 
