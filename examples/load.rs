@@ -4,7 +4,6 @@
 //!     load uploads [CLIENTS] [RINGS]     meshes of 1000 × RINGS vertices posted at the same time; peak memory
 #![allow(clippy::unwrap_used, reason = "a tool for developers")]
 
-use std::f64::consts::TAU;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
@@ -12,9 +11,9 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use nalgebra::Point3;
-use rosaline::mesh::TriangleMesh;
-use rosaline::mesh::format::write_stl_binary;
+#[path = "../tests/common/meshes.rs"]
+#[allow(dead_code, reason = "shared with the tests, which use all of it")]
+mod meshes;
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -25,6 +24,11 @@ fn main() {
         Some("uploads") => uploads(number(1, 8), number(2, 1000)),
         _ => println!("load status [CLIENTS] [SECONDS] | load uploads [CLIENTS] [RINGS]"),
     }
+}
+
+/// Binary STL of an open tube along a quarter of a circle.
+fn tube_stl(rings: u32, sides: u32) -> Vec<u8> {
+    meshes::stl(&meshes::tube(rings, sides))
 }
 
 /// A running service with a data folder of its own.
@@ -106,35 +110,13 @@ impl Client {
     }
 }
 
-/// Binary STL of an open tube along a quarter of a circle.
-fn tube(rings: u32, sides: u32) -> Vec<u8> {
-    let mut mesh = TriangleMesh::default();
-    for ring in 0..rings {
-        let bend = TAU / 4.0 * f64::from(ring) / f64::from(rings - 1);
-        for side in 0..sides {
-            let around = TAU * f64::from(side) / f64::from(sides);
-            let reach = 10.0 + around.cos();
-            mesh.vertices.push(Point3::new(reach * bend.cos(), reach * bend.sin(), around.sin()));
-        }
-    }
-    for ring in 0..rings - 1 {
-        for side in 0..sides {
-            let (a, b) = (ring * sides + side, ring * sides + (side + 1) % sides);
-            mesh.triangles.extend([[a, a + sides, b], [b, a + sides, b + sides]]);
-        }
-    }
-    let mut bytes = Vec::new();
-    write_stl_binary(&mesh, &mut bytes).unwrap();
-    bytes
-}
-
 fn status(clients: u32, time: Duration) {
     let service = Service::start();
     let mut client = Client::new(&service.address);
-    let ended = client.ask("POST /v1/jobs HTTP/1.1\r\nPrefer: wait=60", &tube(60, 24)).1;
+    let ended = client.ask("POST /v1/jobs HTTP/1.1\r\nPrefer: wait=60", &tube_stl(60, 24)).1;
     poll("idle workers, /healthz", &service.address, &["/healthz".to_owned()], clients, time);
     poll("idle workers, a job that has ended", &service.address, &[ended], clients, time);
-    let mesh = tube(800, 150);
+    let mesh = tube_stl(800, 150);
     let post = "POST /v1/jobs?smoothing=true HTTP/1.1";
     let jobs: Vec<String> = (0..40).map(|_| client.ask(post, &mesh).1).collect();
     poll("busy workers, /healthz", &service.address, &["/healthz".to_owned()], clients, time);
@@ -173,7 +155,7 @@ fn poll(what: &str, address: &str, jobs: &[String], clients: u32, time: Duration
 }
 
 fn uploads(clients: u32, rings: u32) {
-    let good = tube(rings, 1000);
+    let good = tube_stl(rings, 1000);
     // Found only after the whole mesh was read; no job comes of it.
     let mut bad = good.clone();
     let last = bad.len() - 10;

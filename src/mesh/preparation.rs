@@ -30,11 +30,9 @@ pub enum PreparationError {
 /// One connected, closed, oriented, manifold surface.
 #[derive(Debug, Clone, Default)]
 pub struct Surface {
-    /// Its vertices and triangles; cap triangles come last.
+    /// Its vertices and triangles; those that cap openings come last.
     pub mesh: TriangleMesh,
     pub corners: CornerTable,
-    /// How many triangles came from the input; those from there on are caps.
-    pub wall_triangles: usize,
     pub openings: Vec<Opening>,
 }
 
@@ -118,9 +116,8 @@ pub fn prepare(mesh: &TriangleMesh) -> Result<Prepared, PreparationError> {
         conflicting_edges: matching.conflicting_edges.renamed(&kept),
     };
     report.split_vertices = split_fans(&mut soup, &opposite);
-    let wall = soup.triangles.len();
     let openings = cap(&mut soup, &mut opposite);
-    let components = split_components(soup, opposite, wall, openings, &mut report);
+    let components = split_components(soup, opposite, openings, &mut report);
     Ok(Prepared { components, report })
 }
 
@@ -211,7 +208,6 @@ fn fan(opposite: &[u32], start: u32) -> Vec<u32> {
 fn split_components(
     soup: TriangleMesh,
     opposite: Vec<u32>,
-    wall: usize,
     openings: Vec<CappedOpening>,
     report: &mut PreparationReport,
 ) -> Vec<Surface> {
@@ -236,9 +232,8 @@ fn split_components(
             report.inverted_components += 1;
             local = invert(&mut mesh, &local);
         }
-        let wall_triangles = triangles.iter().filter(|&&t| (t as usize) < wall).count();
         let corners = CornerTable::new(&mesh.triangles, local, mesh.vertices.len());
-        surfaces.push(Surface { mesh, corners, wall_triangles, openings: Vec::new() });
+        surfaces.push(Surface { mesh, corners, openings: Vec::new() });
     }
     for CappedOpening { mut opening, triangle } in openings {
         opening.centre = vertex_name[opening.centre as usize];
@@ -370,7 +365,6 @@ mod tests {
         check_manifold(surface);
         assert_eq!((surface.openings.len(), surface.openings[0].rim.len()), (1, 4));
         assert!((surface.volume() - 1.0).abs() < 1e-12);
-        assert_eq!(surface.wall_triangles, 10);
     }
 
     #[test]

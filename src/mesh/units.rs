@@ -29,17 +29,6 @@ impl Units {
             Units::Inches => "in",
         }
     }
-
-    /// Millimetres in one of this unit.
-    pub fn millimetres(self) -> f64 {
-        match self {
-            Units::Millimetres => 1.0,
-            Units::Centimetres => 10.0,
-            Units::Metres => 1000.0,
-            Units::Micrometres => 1e-3,
-            Units::Inches => 25.4,
-        }
-    }
 }
 
 impl fmt::Display for Units {
@@ -72,12 +61,5 @@ mod tests {
         }
         assert_eq!("furlong".parse::<Units>(), Err(UnknownUnit));
         assert_eq!("MM".parse::<Units>(), Err(UnknownUnit));
-    }
-
-    #[test]
-    fn an_inch_is_25_4_millimetres_and_a_metre_a_million_micrometres() {
-        assert_eq!(Units::Inches.millimetres(), 25.4);
-        let ratio = Units::Metres.millimetres() / Units::Micrometres.millimetres();
-        assert!((ratio - 1e6).abs() < 1e-6, "{ratio}");
     }
 }

@@ -53,8 +53,6 @@ pub struct CenterlinePoint {
     pub normal: Vector3<f64>,
     /// Mean distance of the plane's vertices from the line through `position` along `normal`.
     pub radius: f64,
-    /// Half width of the plane's band.
-    pub width: f64,
     /// The normal lines of the plane's vertices, for re-centering.
     pub lines: NormalLines,
 }
@@ -166,7 +164,7 @@ impl<'a> Walker<'a> {
             normal = next;
             if step + 1 == NARROW_STEPS || (still && point.is_none()) {
                 self.walk(vertex, normal, reach);
-                let found = self.point(normal, reach.width);
+                let found = self.point(normal);
                 let widest = (WIDEST_IN_RADII * found.radius).min(WIDEST_IN_EDGES * edge).min(d_cut);
                 reach = Reach { width: widest.max(edge), radius: REACH_IN_RADII * found.radius.max(edge) };
                 point = Some(found);
@@ -175,7 +173,7 @@ impl<'a> Walker<'a> {
             }
         }
         self.walk(vertex, normal, reach);
-        self.point(normal, reach.width)
+        self.point(normal)
     }
 
     /// Fills `band` with the vertices of the same segment that a walk within the band reaches.
@@ -201,7 +199,7 @@ impl<'a> Walker<'a> {
     }
 
     /// Eq. 10 over the band.
-    fn point(&self, normal: Vector3<f64>, width: f64) -> CenterlinePoint {
+    fn point(&self, normal: Vector3<f64>) -> CenterlinePoint {
         let OrientedVertices { positions, normals, .. } = self.surface;
         let own = positions[self.band[0] as usize];
         let mut lines = NormalLines::default();
@@ -216,7 +214,7 @@ impl<'a> Walker<'a> {
         };
         let away = |&v: &u32| (positions[v as usize] - position).cross(&normal).norm();
         let radius = self.band.iter().map(away).sum::<f64>() / self.band.len() as f64;
-        CenterlinePoint { position, normal, radius, width, lines }
+        CenterlinePoint { position, normal, radius, lines }
     }
 
     fn mean(&self) -> Point3<f64> {

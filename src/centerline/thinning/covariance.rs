@@ -17,7 +17,7 @@ impl Default for Moments {
 }
 
 impl Moments {
-    /// Of a set of vectors, all of weight one.
+    /// Of a set of vectors.
     pub fn of(vectors: impl IntoIterator<Item = Vector3<f64>>) -> Self {
         let mut moments = Self::default();
         vectors.into_iter().for_each(|vector| moments.add(vector));
@@ -25,14 +25,9 @@ impl Moments {
     }
 
     pub fn add(&mut self, vector: Vector3<f64>) {
-        self.add_weighted(vector, 1.0);
-    }
-
-    /// Adds `weight` copies of `vector`.
-    pub fn add_weighted(&mut self, vector: Vector3<f64>, weight: f64) {
-        self.count += weight;
-        self.sum += vector * weight;
-        self.outer += vector * vector.transpose() * weight;
+        self.count += 1.0;
+        self.sum += vector;
+        self.outer += vector * vector.transpose();
     }
 
     /// Adds another set.
@@ -42,7 +37,7 @@ impl Moments {
         self.outer += other.outer;
     }
 
-    /// Sum of the weights.
+    /// How many vectors.
     pub fn count(&self) -> f64 {
         self.count
     }
@@ -116,15 +111,11 @@ mod tests {
     }
 
     #[test]
-    fn a_weight_counts_as_copies() {
+    fn sets_add() {
         let (a, b) = (Vector3::new(1.0, 2.0, 3.0), Vector3::new(-2.0, 0.5, 1.0));
-        let copies = Moments::of([a, b, b, b]);
-        let mut weighted = Moments::of([a]);
-        weighted.add_weighted(b, 3.0);
-        assert!((copies.covariance() - weighted.covariance()).norm() < 1e-12);
         let mut joined = Moments::of([a, b]);
         joined.extend(&Moments::of([b, b]));
-        assert!((copies.covariance() - joined.covariance()).norm() < 1e-12);
+        assert!((Moments::of([a, b, b, b]).covariance() - joined.covariance()).norm() < 1e-12);
     }
 
     #[test]
