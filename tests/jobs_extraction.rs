@@ -61,7 +61,7 @@ async fn results(threads: usize, bytes: &[u8], spec: &JobSpec) -> Vec<Vec<u8>> {
 async fn a_vessel_becomes_its_centerline_in_every_format_and_the_same_on_any_pool() {
     let mesh = stl(Kind::Bifurcation);
     let mut parameters = Parameters::of(Preset::Default);
-    parameters.set("omega", "0.8").unwrap();
+    parameters.set("tip_height", "1.25").unwrap();
     let spec = JobSpec {
         hint: FormatHint { extension: Some("stl".into()), content_type: Some("model/stl".into()) },
         name: Some(FileName::new("aorta.stl")),
@@ -76,8 +76,8 @@ async fn a_vessel_becomes_its_centerline_in_every_format_and_the_same_on_any_poo
     assert_eq!(document.source.name.as_deref(), Some("aorta.stl"));
     let sha256: String = Sha256::digest(&mesh).iter().map(|byte| format!("{byte:02x}")).collect();
     assert_eq!(document.source.sha256, sha256);
-    let omega = serde_json::to_value(&document).unwrap()["method"]["parameters"]["omega"].clone();
-    assert_eq!(omega, 0.8);
+    let document = serde_json::to_value(&document).unwrap();
+    assert_eq!(document["method"]["parameters"]["tip_height"], 1.25);
     assert_eq!(&one[1][..4], b"glTF");
     let gltf: serde_json::Value = serde_json::from_slice(&one[2]).unwrap();
     assert_eq!(gltf["asset"]["version"], "2.0");

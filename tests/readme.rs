@@ -9,8 +9,10 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
+use rosaline::centerline::{ParameterKind, TABLE};
 use rosaline::mesh::format::{Hint, Limits, read};
 use rosaline::output::{ResultDocument, read_json};
+use serde_json::Value;
 use service::Service;
 
 const RELEASE: &str = "target/release/rosaline";
@@ -32,6 +34,50 @@ fn shell_blocks(text: &str) -> String {
 
 fn document(path: &Path) -> ResultDocument {
     read_json(&fs::read(path).unwrap()).unwrap()
+}
+
+/// The README's result is that of its sample, shortened.
+fn assert_is_shown_by_the_readme(result: &ResultDocument) {
+    let text = readme();
+    let json = text.split("```json\n").nth(1).unwrap().split("```").next().unwrap();
+    let shown: Value = serde_json::from_str(json).unwrap();
+    let whole = serde_json::to_value(result).unwrap();
+    for member in ["schema", "units", "method", "warnings"] {
+        assert_eq!(shown[member], whole[member], "{member}");
+    }
+    for (name, value) in shown["source"].as_object().unwrap() {
+        let found = &whole["source"][name];
+        match name.as_str() {
+            "sha256" => {
+                assert!(found.as_str().unwrap().starts_with(value.as_str().unwrap().trim_end_matches('.')))
+            }
+            "diagonal" => {
+                assert!((found.as_f64().unwrap() - value.as_f64().unwrap()).abs() < 0.005, "{found}")
+            }
+            _ => assert_eq!(found, value, "{name}"),
+        }
+    }
+}
+
+#[test]
+fn the_documents_list_every_parameter_as_the_table_has_it() {
+    let document = fs::read_to_string(root().join("docs/method.md")).unwrap();
+    let begin = document.find("\n## Parameters\n").unwrap();
+
+    for spec in TABLE {
+        let word = |value: f64| match spec.kind {
+            ParameterKind::Number { .. } => value.to_string(),
+            ParameterKind::Flag => (value != 0.0).to_string(),
+        };
+        let range = match spec.kind {
+            ParameterKind::Number { min, max } => format!("{min} to {max}"),
+            ParameterKind::Flag => "true or false".to_owned(),
+        };
+        let (default, paper) = (spec.default.map_or("not used".to_owned(), word), word(spec.paper));
+        let row =
+            format!("| `{}` | {} | {range} | {default} | {paper} | {} |", spec.name, spec.unit, spec.doc);
+        assert!(document[begin..].contains(&row), "docs/method.md lacks: {row}");
+    }
 }
 
 #[test]
@@ -56,6 +102,7 @@ fn the_commands_do_what_the_readme_says() {
         ["line.json", "tree-line.json", "vessel.json"].map(|name| document(&folder.path().join(name)));
     assert_eq!(posted.branches, extracted.branches);
     assert_eq!(posted.nodes, extracted.nodes);
+    assert_is_shown_by_the_readme(&posted);
     for name in ["line.glb", "tree-line.glb"] {
         assert!(fs::read(folder.path().join(name)).unwrap().starts_with(b"glTF"), "{name}");
     }

@@ -59,8 +59,8 @@ pub struct ParameterSpec {
     pub name: &'static str,
     pub unit: &'static str,
     pub kind: ParameterKind,
-    /// Value under the preset `default`.
-    pub default: f64,
+    /// Value under the preset `default`; `None`: that preset has no use for it.
+    pub default: Option<f64>,
     /// Value under the preset `paper`.
     pub paper: f64,
     pub doc: &'static str,
@@ -72,7 +72,7 @@ pub const TABLE: &[ParameterSpec] = &[
         name: "m",
         unit: "1",
         kind: ParameterKind::Number { min: 1.05, max: 10.0 },
-        default: 2.0,
+        default: None,
         paper: 2.0,
         doc: "weight index of the fuzzy K-means clustering (eq. 1)",
     },
@@ -80,7 +80,7 @@ pub const TABLE: &[ParameterSpec] = &[
         name: "mu",
         unit: "1",
         kind: ParameterKind::Number { min: 0.05, max: 0.95 },
-        default: 0.5,
+        default: None,
         paper: 0.5,
         doc: "probability above which a vertex belongs to a cluster (IV.A)",
     },
@@ -88,7 +88,7 @@ pub const TABLE: &[ParameterSpec] = &[
         name: "d_cut",
         unit: "diagonal",
         kind: ParameterKind::Number { min: 0.0005, max: 0.2 },
-        default: 0.025,
+        default: None,
         paper: 0.025,
         doc: "half width of the band of a cut plane (IV.B), as a share of the bounding box's diagonal; bounded by the local radius and edge length",
     },
@@ -96,7 +96,7 @@ pub const TABLE: &[ParameterSpec] = &[
         name: "omega",
         unit: "1",
         kind: ParameterKind::Number { min: 0.34, max: 0.999 },
-        default: 0.75,
+        default: None,
         paper: 0.75,
         doc: "linearity above which a centerline point belongs to a branch, below to a joint (eq. 5)",
     },
@@ -104,7 +104,7 @@ pub const TABLE: &[ParameterSpec] = &[
         name: "h",
         unit: "local radius",
         kind: ParameterKind::Number { min: 0.05, max: 10.0 },
-        default: 1.0,
+        default: None,
         paper: 1.0,
         doc: "first radius of the thinning neighbourhood (eq. 6, Algorithm 1)",
     },
@@ -112,7 +112,7 @@ pub const TABLE: &[ParameterSpec] = &[
         name: "eps_h",
         unit: "local radius",
         kind: ParameterKind::Number { min: 0.01, max: 5.0 },
-        default: 0.1,
+        default: None,
         paper: 0.1,
         doc: "step by which the thinning neighbourhood grows (Algorithm 1)",
     },
@@ -120,7 +120,7 @@ pub const TABLE: &[ParameterSpec] = &[
         name: "delta_h",
         unit: "1",
         kind: ParameterKind::Number { min: 0.0, max: 0.999 },
-        default: 0.6,
+        default: None,
         paper: 0.6,
         doc: "correlation at which the thinning neighbourhood stops growing (eq. 7, Algorithm 1)",
     },
@@ -128,7 +128,7 @@ pub const TABLE: &[ParameterSpec] = &[
         name: "tip_height",
         unit: "local radius",
         kind: ParameterKind::Number { min: 0.1, max: 20.0 },
-        default: 1.0,
+        default: Some(1.0),
         paper: 1.0,
         doc: "height above which a protrusion is a branch with an end of its own",
     },
@@ -136,7 +136,7 @@ pub const TABLE: &[ParameterSpec] = &[
         name: "smoothing",
         unit: "flag",
         kind: ParameterKind::Flag,
-        default: 0.0,
+        default: Some(0.0),
         paper: 0.0,
         doc: "run the morphology-preserving smoothing filter (the paper's ref. 6) on the surface first",
     },
@@ -147,6 +147,8 @@ pub const TABLE: &[ParameterSpec] = &[
 pub struct Parameters {
     preset: Preset,
     values: Vec<f64>,
+    /// Which ones were set although the preset has no use for them.
+    idle: Vec<bool>,
 }
 
 impl Default for Parameters {
@@ -158,11 +160,9 @@ impl Default for Parameters {
 impl Parameters {
     /// The values of a preset.
     pub fn of(preset: Preset) -> Self {
-        let value = |spec: &ParameterSpec| match preset {
-            Preset::Default => spec.default,
-            Preset::Paper => spec.paper,
-        };
-        Self { preset, values: TABLE.iter().map(value).collect() }
+        // What the preset has no use for is never asked for: any value will do.
+        let values = TABLE.iter().map(|spec| spec.value(preset).unwrap_or(spec.paper)).collect();
+        Self { preset, values, idle: vec![false; TABLE.len()] }
     }
 
     pub fn preset(&self) -> Preset {
@@ -195,16 +195,26 @@ impl Parameters {
                 value
             }
         };
+        self.idle[index] = spec.value(self.preset).is_none();
         Ok(())
     }
 
-    /// Every parameter with its value, in the order of [`TABLE`].
-    pub fn iter(&self) -> impl Iterator<Item = (&'static ParameterSpec, f64)> + '_ {
+    fn all(&self) -> impl Iterator<Item = (&'static ParameterSpec, f64)> + '_ {
         TABLE.iter().zip(self.values.iter().copied())
     }
 
+    /// Every parameter that the preset uses with its value, in the order of [`TABLE`].
+    pub fn iter(&self) -> impl Iterator<Item = (&'static ParameterSpec, f64)> + '_ {
+        self.all().filter(|(spec, _)| spec.value(self.preset).is_some())
+    }
+
+    /// Every parameter that was set and that the preset has no use for, with its value.
+    pub fn unused(&self) -> impl Iterator<Item = (&'static ParameterSpec, f64)> + '_ {
+        self.all().zip(&self.idle).filter(|(_, idle)| **idle).map(|(row, _)| row)
+    }
+
     fn get(&self, name: &str) -> f64 {
-        self.iter().find(|(spec, _)| spec.name == name).map_or(f64::NAN, |(_, value)| value)
+        self.all().find(|(spec, _)| spec.name == name).map_or(f64::NAN, |(_, value)| value)
     }
 
     pub fn m(&self) -> f64 {
@@ -237,6 +247,14 @@ impl Parameters {
 }
 
 impl ParameterSpec {
+    /// The value under a preset that uses this parameter.
+    pub fn value(&self, preset: Preset) -> Option<f64> {
+        match preset {
+            Preset::Default => self.default,
+            Preset::Paper => Some(self.paper),
+        }
+    }
+
     /// The accepted values, for help and errors.
     pub fn expected(&self) -> String {
         match self.kind {

@@ -78,10 +78,11 @@ fn help(spec: &ParameterSpec) -> String {
         ParameterKind::Number { min, max } => format!("unit: {}; {min} to {max}; ", spec.unit),
         ParameterKind::Flag => String::new(),
     };
-    facts += &format!("default: {}", value(spec.default));
-    if spec.paper != spec.default {
-        facts += &format!("; paper: {}", value(spec.paper));
-    }
+    facts += &match spec.default {
+        None => format!("default: {}; preset paper only", value(spec.paper)),
+        Some(default) if default == spec.paper => format!("default: {}", value(default)),
+        Some(default) => format!("default: {}; paper: {}", value(default), value(spec.paper)),
+    };
     format!("{} [{facts}]", spec.doc)
 }
 
@@ -104,7 +105,7 @@ mod tests {
             assert!(help.contains(&format!("--{}", spec.name)), "{}", spec.name);
             assert!(help.contains(spec.doc), "{}", spec.name);
         }
-        assert!(help.contains("unit: diagonal; 0.0005 to 0.2; default: 0.025"), "{help}");
+        assert!(help.contains("unit: diagonal; 0.0005 to 0.2; default: 0.025; preset paper only"), "{help}");
     }
 
     #[test]

@@ -99,9 +99,11 @@ pub struct ParameterValues {
 
 impl From<&Parameters> for ParameterValues {
     fn from(parameters: &Parameters) -> Self {
+        // Also what was set in vain: the result warns of it.
+        let values = parameters.iter().chain(parameters.unused());
         Self {
             preset: parameters.preset().name().to_owned(),
-            values: parameters.iter().map(|(spec, value)| (spec.name.to_owned(), value)).collect(),
+            values: values.map(|(spec, value)| (spec.name.to_owned(), value)).collect(),
         }
     }
 }
@@ -322,6 +324,13 @@ mod tests {
         let json = serde_json::to_string(&ParameterValues::from(&parameters)).unwrap();
         let stored: ParameterValues = serde_json::from_str(&json).unwrap();
         assert_eq!(Parameters::try_from(&stored), Ok(parameters));
+        let mut in_vain = Parameters::default();
+        in_vain.set("omega", "0.8").unwrap();
+        let restored = Parameters::try_from(&ParameterValues::from(&in_vain)).unwrap();
+        assert_eq!(
+            restored.unused().map(|(spec, value)| (spec.name, value)).collect::<Vec<_>>(),
+            [("omega", 0.8)]
+        );
     }
 
     #[test]

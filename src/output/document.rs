@@ -62,7 +62,7 @@ pub struct MethodRecord {
     /// `default` or `paper`; `phantom` for the known centerline of a made surface.
     #[schema(example = "default")]
     pub preset: String,
-    /// Every parameter with the value it had.
+    /// Every parameter that the preset uses, with the value it had.
     pub parameters: BTreeMap<String, ParameterValue>,
     /// Version of Rosaline.
     #[schema(example = "0.1.0")]
@@ -151,7 +151,12 @@ impl ResultDocument {
                 .collect(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
-        Self::with_method(extraction, source, method)
+        let mut document = Self::with_method(extraction, source, method);
+        document.warnings.extend(parameters.unused().map(|(spec, _)| WarningRecord {
+            code: "unused-parameter".to_owned(),
+            detail: format!("{} was set, and the preset {} does not use it", spec.name, parameters.preset()),
+        }));
+        document
     }
 
     /// The document of a centerline that another `method` made.
@@ -290,6 +295,10 @@ pub(in crate::output) mod tests {
 
     /// One vessel that forks: a junction at the origin, ends at -x, +x+y and +x-y.
     pub(in crate::output) fn fork() -> ResultDocument {
+        of(&Parameters::default())
+    }
+
+    fn of(parameters: &Parameters) -> ResultDocument {
         let node = |kind, x: f64, y: f64, radius| Node { kind, position: Point3::new(x, y, 0.0), radius };
         let nodes = vec![
             node(NodeKind::End, -3.0, 0.0, 1.0),
@@ -329,7 +338,7 @@ pub(in crate::output) mod tests {
             sha256: "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855",
             units: Units::Millimetres,
         };
-        ResultDocument::new(&extraction, &source, &Parameters::default())
+        ResultDocument::new(&extraction, &source, parameters)
     }
 
     #[test]
@@ -359,11 +368,30 @@ pub(in crate::output) mod tests {
     }
 
     #[test]
-    fn flags_are_booleans_and_the_parameters_are_all_there() {
+    fn flags_are_booleans_and_the_parameters_are_those_that_the_preset_uses() {
+        let names =
+            |document: &ResultDocument| document.method.parameters.keys().cloned().collect::<Vec<_>>();
         let document = fork();
         assert_eq!(document.method.parameters["smoothing"], ParameterValue::Flag(false));
-        assert_eq!(document.method.parameters["mu"], ParameterValue::Number(0.5));
-        assert_eq!(document.method.parameters.len(), crate::centerline::TABLE.len());
+        assert_eq!(document.method.parameters["tip_height"], ParameterValue::Number(1.0));
+        assert_eq!(names(&document), ["smoothing", "tip_height"]);
         assert_eq!(document.method.version, env!("CARGO_PKG_VERSION"));
+        let paper = of(&Parameters::of(crate::centerline::Preset::Paper));
+        assert_eq!(names(&paper).len(), crate::centerline::TABLE.len());
+    }
+
+    #[test]
+    fn a_parameter_that_was_set_in_vain_is_a_warning() {
+        for (preset, warnings) in [("default", 1), ("paper", 0)] {
+            let mut parameters = Parameters::of(preset.parse().unwrap());
+            parameters.set("omega", "0.8").unwrap();
+            parameters.set("tip_height", "2").unwrap();
+            let document = of(&parameters);
+            let found: Vec<_> =
+                document.warnings.iter().filter(|warning| warning.code == "unused-parameter").collect();
+            assert_eq!(found.len(), warnings, "{found:?}");
+            assert!(found.iter().all(|warning| warning.detail.contains("omega")), "{found:?}");
+            assert_eq!(document.method.parameters.contains_key("omega"), warnings == 0);
+        }
     }
 }

@@ -56,7 +56,9 @@ async fn a_mesh_becomes_a_centerline() {
     assert_eq!(result["source"]["name"], "tube.stl");
     assert_eq!(result["source"]["openings"], 2);
     assert_eq!(result["units"], "cm");
-    assert_eq!(result["method"]["parameters"]["omega"], 0.8);
+    // The preset has no use for it, and says so.
+    assert!(result["method"]["parameters"]["omega"].is_null());
+    assert!(result["warnings"].to_string().contains("unused-parameter"), "{}", result["warnings"]);
     assert_eq!(result["branches"].as_array().unwrap().len(), 1);
     assert_eq!(result["nodes"].as_array().unwrap().len(), 2);
 
@@ -68,7 +70,7 @@ async fn a_mesh_becomes_a_centerline() {
 }
 
 async fn post_form(service: &Service, form: Form) -> Response {
-    let request = service.post("/v1/jobs?delta_h=0.1&omega=0.9").header("prefer", "wait=60");
+    let request = service.post("/v1/jobs?tip_height=2&smoothing=true").header("prefer", "wait=60");
     request.multipart(form).send().await.unwrap()
 }
 
@@ -76,7 +78,7 @@ async fn post_form(service: &Service, form: Form) -> Response {
 async fn a_form_may_have_its_parts_in_any_order() {
     let service = Service::start(&[]);
     let mesh = || Part::bytes(meshes::small()).file_name("C:\\scans\\aorta.STL");
-    let parameters = || Part::text(r#"{"units": "um", "delta_h": 0.5, "smoothing": false}"#);
+    let parameters = || Part::text(r#"{"units": "um", "tip_height": 1.5, "client_reference": "a"}"#);
     let forms = [
         Form::new().part("mesh", mesh()).part("parameters", parameters()),
         Form::new().part("parameters", parameters()).part("mesh", mesh()),
@@ -89,8 +91,8 @@ async fn a_form_may_have_its_parts_in_any_order() {
         let result = centerline(&service, status["links"][0]["href"].as_str().unwrap()).await;
         assert_eq!(result["source"]["name"], "aorta.STL");
         assert_eq!(result["units"], "um");
-        assert_eq!(result["method"]["parameters"]["delta_h"], 0.5, "the form overrides the query");
-        assert_eq!(result["method"]["parameters"]["omega"], 0.9);
+        assert_eq!(result["method"]["parameters"]["tip_height"], 1.5, "the form overrides the query");
+        assert_eq!(result["method"]["parameters"]["smoothing"], true);
     }
     let response = post_form(&service, Form::new().part("mesh", mesh())).await;
     assert_eq!(response.status(), StatusCode::CREATED);

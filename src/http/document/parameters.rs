@@ -127,10 +127,11 @@ pub fn job_parameters() -> Vec<(String, Object)> {
 
 /// A row of the method's table.
 fn row(spec: &ParameterSpec) -> Object {
-    let preset = if spec.paper == spec.default {
-        String::new()
-    } else {
-        format!("; {} with the preset `paper`", spec.paper)
+    let value = spec.default.unwrap_or(spec.paper);
+    let preset = match spec.default {
+        None => "; the preset `paper` alone uses it, with another it is a warning of the result".to_owned(),
+        Some(default) if default == spec.paper => String::new(),
+        Some(_) => format!("; {} with the preset `paper`", spec.paper),
     };
     let (object, description) = match spec.kind {
         ParameterKind::Number { min, max } => (
@@ -139,11 +140,11 @@ fn row(spec: &ParameterSpec) -> Object {
                 .format(Some(SchemaFormat::KnownFormat(KnownFormat::Double)))
                 .minimum(Some(min))
                 .maximum(Some(max))
-                .default(Some(json!(spec.default))),
-            format!("{}. Unit: {}. Default: {}{preset}", spec.doc, spec.unit, spec.default),
+                .default(Some(json!(value))),
+            format!("{}. Unit: {}. Default: {}{preset}", spec.doc, spec.unit, value),
         ),
         ParameterKind::Flag => (
-            ObjectBuilder::new().schema_type(Type::Boolean).default(Some(json!(spec.default != 0.0))),
+            ObjectBuilder::new().schema_type(Type::Boolean).default(Some(json!(value != 0.0))),
             spec.doc.to_owned(),
         ),
     };
