@@ -124,10 +124,21 @@ fn units_and_parameters_go_into_the_result() {
     assert_eq!(document["method"]["preset"], "default");
     assert_eq!(document["method"]["parameters"]["tip_height"], 1.25);
     assert_eq!(document["method"]["parameters"]["smoothing"], false);
+    assert_eq!(document["warnings"], serde_json::json!([]));
     // The coordinates are the mesh's own, whatever the unit is called.
     assert!((document["source"]["diagonal"].as_f64().unwrap() - 50.0).abs() < 20.0);
     let line = failure(folder.path(), &["compare", "vessel.json", "line.json"]);
     assert!(line.contains("in mm and the result in cm"), "{line}");
+}
+
+#[test]
+fn a_parameter_that_the_preset_does_not_use_is_a_warning() {
+    let folder = bifurcation();
+    let told = done(folder.path(), &["extract", "vessel.stl", "-o", "line.json", "--omega", "0.8"]);
+    let told = text(&told.stderr);
+    assert!(told.contains("warning: unused-parameter: omega "), "{told}");
+    let document = read_json(&fs::read(folder.path().join("line.json")).unwrap()).unwrap();
+    assert!(!document.method.parameters.contains_key("omega"));
 }
 
 #[test]
@@ -138,7 +149,7 @@ fn help_lists_every_parameter_with_unit_range_and_default() {
         assert!(help.contains(&format!("--{}", spec.name)), "{}", spec.name);
         assert!(help.contains(spec.doc), "{}", spec.name);
     }
-    assert!(help.contains("[unit: diagonal; 0.0005 to 0.2; default: 0.025]"), "{help}");
+    assert!(help.contains("[unit: diagonal; 0.0005 to 0.2; default: 0.025; preset paper only]"), "{help}");
 }
 
 #[test]
@@ -176,16 +187,28 @@ fn a_failure_is_one_line_and_leaves_no_file() {
 }
 
 #[test]
-fn wrong_arguments_end_with_exit_code_2() {
-    for words in [
-        vec!["extract", "a.stl"],
-        vec!["extract", "a.stl", "-o", "b.json", "--preset", "best"],
-        vec!["extract", "a.stl", "-o", "b.json", "--units", "furlong"],
-        vec!["phantom", "octopus", "-o", "a"],
-        vec!["phantom", "tree", "-o", "a", "--coarse", "--voxel", "1"],
-        vec!["compare", "a.json"],
+fn wrong_arguments_are_one_line_too() {
+    for (words, expected) in [
+        (vec![], "subcommand"),
+        (vec!["extrct"], "extract"),
+        (vec!["extract"], "<MESH>"),
+        (vec!["extract", "a.stl"], "--output <OUT>"),
+        (vec!["extract", "a.stl", "-o", "b.json", "--preset", "best"], "paper"),
+        (vec!["extract", "a.stl", "-o", "b.json", "--units", "furlong"], "mm, cm, m, um or in"),
+        (vec!["extract", "a.stl", "-o", "b.json", "--omga", "0.8"], "--omega"),
+        (vec!["phantom", "octopus", "-o", "a"], "octopus"),
+        (vec!["phantom", "tree", "-o", "a", "--coarse", "--voxel", "1"], "--voxel"),
+        (vec!["compare", "a.json"], "RESULT"),
+        (vec!["serve", "--max-upload", "much"], "whole number"),
+        (vec!["serve", "--threads", "1", "--workers", "2"], "fewer workers"),
     ] {
-        assert_eq!(rosaline(Path::new("."), &words).status.code(), Some(2), "{words:?}");
+        let line = failure(Path::new("."), &words);
+        assert!(line.contains(expected) && !line.contains("Usage"), "{words:?}: {line}");
+    }
+    for words in [["--version", ""], ["--help", ""], ["extract", "--help"]] {
+        let words: Vec<_> = words.into_iter().filter(|word| !word.is_empty()).collect();
+        let output = done(Path::new("."), &words);
+        assert!(text(&output.stdout).contains("rosaline") && output.stderr.is_empty(), "{words:?}");
     }
 }
 

@@ -69,15 +69,11 @@ impl<E: Error> From<E> for Failure {
 
 /// Parses the arguments, runs the subcommand, and prints a failure as one line on stderr.
 ///
-/// Exit codes: 0 done, 1 failed, 2 wrong arguments.
+/// Exit codes: 0 done, 1 not done, wrong arguments included.
 pub fn main() -> ExitCode {
-    let outcome = match Cli::parse().command {
-        Command::Serve(args) => serve::run(args),
-        Command::Extract(args) => extract::run(args),
-        Command::Compare(args) => compare::run(args),
-        Command::Phantom(args) => phantom::run(args),
-        Command::Health(args) => health::run(args),
-        Command::Openapi(args) => openapi::run(args),
+    let outcome = match Cli::try_parse() {
+        Ok(cli) => run(cli),
+        Err(error) => misused(&error).map_or(Ok(()), Err),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -86,6 +82,40 @@ pub fn main() -> ExitCode {
             // A closed stderr leaves nobody to tell.
             let _ = writeln!(std::io::stderr(), "rosaline: {line}");
             ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(cli: Cli) -> Result<(), Failure> {
+    match cli.command {
+        Command::Serve(args) => serve::run(args),
+        Command::Extract(args) => extract::run(args),
+        Command::Compare(args) => compare::run(args),
+        Command::Phantom(args) => phantom::run(args),
+        Command::Health(args) => health::run(args),
+        Command::Openapi(args) => openapi::run(args),
+    }
+}
+
+/// What is wrong with the arguments, without clap's usage and hints for people; help and version, which are
+/// no failures to clap's callers, are printed.
+fn misused(error: &clap::Error) -> Option<Failure> {
+    use clap::error::ErrorKind::{DisplayHelp, DisplayHelpOnMissingArgumentOrSubcommand, DisplayVersion};
+    match error.kind() {
+        DisplayHelp | DisplayVersion => {
+            // A closed stdout leaves nobody to tell.
+            let _ = error.print();
+            None
+        }
+        DisplayHelpOnMissingArgumentOrSubcommand => {
+            Some(Failure::new("a subcommand is missing; rosaline --help lists them"))
+        }
+        _ => {
+            let text = error.to_string();
+            let end =
+                ["\n\nUsage:", "\n\nFor more information"].iter().filter_map(|mark| text.find(mark)).min();
+            let what = text[..end.unwrap_or(text.len())].trim_start_matches("error: ").trim();
+            Some(Failure::new(format!("{what}; --help lists what can be given")))
         }
     }
 }
