@@ -3,6 +3,8 @@
 
 #[path = "../common/mod.rs"]
 mod common;
+#[path = "../common/gltf_checker.rs"]
+mod gltf_checker;
 #[path = "../common/meshes.rs"]
 mod meshes;
 #[path = "../common/service.rs"]
