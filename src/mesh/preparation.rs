@@ -51,11 +51,7 @@ impl Surface {
 
     /// Area of the wall, caps included, in squared units of the input.
     pub fn area(&self) -> f64 {
-        let of = |t: &[u32; 3]| {
-            let [a, b, c] = t.map(|v| self.mesh.vertices[v as usize]);
-            (b - a).cross(&(c - a)).norm()
-        };
-        0.5 * self.mesh.triangles.iter().map(of).sum::<f64>()
+        self.mesh.triangles.iter().map(|triangle| area(&self.mesh, triangle)).sum()
     }
 
     /// Enclosed volume, in cubed units of the input.
