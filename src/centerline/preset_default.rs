@@ -59,7 +59,7 @@ pub fn extract_component(
     });
     control.report(Stage::Recentering, 0.0)?;
     reach_ends(surface, &mut network, control)?;
-    meet_in_joints(surface, &mut network, control)?;
+    meet_in_joints(surface, &owners, &mut network, control)?;
     control.report(Stage::Connection, 0.0)?;
     let mut result = network.connect();
     result.warnings = unsupported::check(surface, &network);
@@ -203,13 +203,15 @@ fn reach_ends(surface: &Surface, network: &mut Network, control: &Control<'_>) -
 /// Finds the joints' centres and leads the branches into them, a few rounds.
 fn meet_in_joints(
     surface: &Surface,
+    owners: &[u32],
     network: &mut Network,
     control: &Control<'_>,
 ) -> Result<(), ExtractError> {
     for round in 0..JOINT_ROUNDS {
         control.report(Stage::Recentering, round as f64 / JOINT_ROUNDS as f64)?;
         for node in 0..network.nodes.len() {
-            meet(surface, network, node);
+            control.cancel.check()?;
+            meet(surface, owners, network, node);
         }
         if round == 0 {
             network.contract_close();
@@ -239,7 +241,7 @@ fn meet_in_joints(
 }
 
 /// Finds one joint's centre and leads its branches in.
-fn meet(surface: &Surface, network: &mut Network, node: usize) {
+fn meet(surface: &Surface, owners: &[u32], network: &mut Network, node: usize) {
     let incident = network.incident(node);
     if incident.len() < 2 || network.is_ring(node) {
         return;
@@ -264,11 +266,17 @@ fn meet(surface: &Surface, network: &mut Network, node: usize) {
             network.tracks[index].stations = stations;
         }
     }
-    lead_in(surface, network, &incident, &centre);
+    lead_in(surface, owners, network, &incident, &centre);
 }
 
 /// Runs every incident branch to the centre, each judged by the rings of all of them.
-fn lead_in(surface: &Surface, network: &mut Network, incident: &[(usize, bool)], centre: &Point3<f64>) {
+fn lead_in(
+    surface: &Surface,
+    owners: &[u32],
+    network: &mut Network,
+    incident: &[(usize, bool)],
+    centre: &Point3<f64>,
+) {
     let mut pool: Vec<LevelSet> = Vec::new();
     for &(track, _) in incident {
         let track = &network.tracks[track];
@@ -278,7 +286,7 @@ fn lead_in(surface: &Surface, network: &mut Network, incident: &[(usize, bool)],
     let rings: Vec<&LevelSet> = pool.iter().collect();
     for &(track, at_end) in incident {
         if network.tracks[track].bulge.is_none() {
-            network.oriented(track, at_end, |track| run_to_centre(surface, track, centre, &rings));
+            network.oriented(track, at_end, |track| run_to_centre(surface, owners, track, centre, &rings));
         }
     }
 }

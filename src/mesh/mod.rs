@@ -3,6 +3,7 @@
 pub mod corner_table;
 pub mod format;
 mod matching;
+mod measures;
 pub mod normals;
 mod numbering;
 mod openings;

@@ -3,11 +3,10 @@
 //! Every stage after this one may rely on it: each vertex has one fan of triangles, each
 //! half-edge an opposite, normals point out of the lumen, and openings are closed by a cap.
 
-use nalgebra::Vector3;
-
 use super::TriangleMesh;
 use super::corner_table::{CornerTable, NONE, next, previous};
 use super::matching::{MatchReport, match_half_edges};
+use super::measures::{area, diagonal, signed_volume, total_area};
 use super::numbering::walk;
 use super::openings::{CappedOpening, cap};
 
@@ -51,7 +50,7 @@ impl Surface {
 
     /// Area of the wall, caps included, in squared units of the input.
     pub fn area(&self) -> f64 {
-        self.mesh.triangles.iter().map(|triangle| area(&self.mesh, triangle)).sum()
+        total_area(&self.mesh)
     }
 
     /// Enclosed volume, in cubed units of the input.
@@ -280,35 +279,9 @@ fn invert(mesh: &mut TriangleMesh, opposite: &[u32]) -> Vec<u32> {
     turned
 }
 
-fn area(mesh: &TriangleMesh, triangle: &[u32; 3]) -> f64 {
-    let [a, b, c] = triangle.map(|v| mesh.vertices[v as usize]);
-    0.5 * (b - a).cross(&(c - a)).norm()
-}
-
-/// Diagonal of the bounding box of the vertices in use.
-fn diagonal(mesh: &TriangleMesh) -> f64 {
-    let mut low = Vector3::repeat(f64::INFINITY);
-    let mut high = Vector3::repeat(f64::NEG_INFINITY);
-    for &v in mesh.triangles.iter().flatten() {
-        low = low.inf(&mesh.vertices[v as usize].coords);
-        high = high.sup(&mesh.vertices[v as usize].coords);
-    }
-    if mesh.triangles.is_empty() { 0.0 } else { (high - low).norm() }
-}
-
-/// Volume by the divergence theorem, about the first vertex so that frames far off lose no digits.
-fn signed_volume(mesh: &TriangleMesh) -> f64 {
-    let Some(&origin) = mesh.vertices.first() else { return 0.0 };
-    let of = |t: &[u32; 3]| {
-        let [a, b, c] = t.map(|v| mesh.vertices[v as usize] - origin);
-        a.dot(&b.cross(&c))
-    };
-    mesh.triangles.iter().map(of).sum::<f64>() / 6.0
-}
-
 #[cfg(test)]
 mod tests {
-    use nalgebra::Point3;
+    use nalgebra::{Point3, Vector3};
 
     use super::*;
 

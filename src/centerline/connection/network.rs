@@ -38,7 +38,8 @@ impl Network {
             }
             *slot
         };
-        let track = |chain: &Chain| Track {
+        let track = |(place, chain): (usize, &Chain)| Track {
+            chain: place,
             from: number(chain.from),
             to: number(chain.to),
             rings: Vec::new(),
@@ -46,7 +47,7 @@ impl Network {
             bulge: None,
             stiffness: FIRM,
         };
-        let tracks = chains.iter().map(track).collect();
+        let tracks = chains.iter().enumerate().map(track).collect();
         Self { nodes, tracks }
     }
 

@@ -25,6 +25,8 @@ pub enum Toward {
     Joint,
     /// The next station of the same branch.
     Station(Point3<f64>),
+    /// The centre of a joint that is known by now.
+    Centre(Point3<f64>),
 }
 
 /// Walks on from the last station while sections stay clean. O(sections x triangles cut).
@@ -82,7 +84,7 @@ fn is_past(
             let past = track.rings.last().map_or(0.0, |ring| (point - ring.centroid).dot(tangent));
             past > PAST * radius
         }
-        Toward::Station(next) => {
+        Toward::Station(next) | Toward::Centre(next) => {
             let away = (next - point).norm() >= (next - last.point).norm();
             away || (next - point).dot(tangent) < 0.5 * SPACING * radius
         }

@@ -29,24 +29,23 @@ pub fn settle_displaced(surface: &Surface, owners: &[u32], network: &mut Network
         let &[a, b, c] = &incident[..] else { continue };
         let orders = [(a, b, c), (a, c, b), (b, a, c), (b, c, a), (c, a, b), (c, b, a)];
         let distinct = a.0 != b.0 && b.0 != c.0 && a.0 != c.0;
-        if let Some((carrier, owner, place)) = orders
-            .into_iter()
-            .filter(|_| distinct)
-            .find_map(|(carrier, owner, ending)| misplaced(network, carrier, owner, ending))
-        {
-            hand_over(surface, owners, network, carrier, owner, place);
+        for (carrier, owner, ending) in orders.into_iter().filter(|_| distinct) {
+            if let Some(place) = misplaced(network, carrier, owner, ending) {
+                hand_over(surface, owners, network, carrier, owner, place);
+                break;
+            }
         }
     }
 }
 
-/// Whether `ending` ends beside `carrier` far from the joint, whose first stations lie on `owner`:
-/// carrier, owner, and the carrier's station there, counted from the joint.
+/// Where `ending` ends beside `carrier` far from the joint, and the carrier's first stations lie on
+/// `owner`: the carrier's station there, counted from the joint.
 fn misplaced(
     network: &mut Network,
     carrier: (usize, bool),
     owner: (usize, bool),
     ending: (usize, bool),
-) -> Option<((usize, bool), (usize, bool), usize)> {
+) -> Option<usize> {
     let mouth = network.oriented(ending.0, ending.1, |track| last_clean(track))?;
     let run = network.oriented(carrier.0, carrier.1, |track| {
         track.stations.iter().rev().cloned().collect::<Vec<Station>>()
@@ -61,7 +60,7 @@ fn misplaced(
     let first = &run[0].point;
     let stations = &network.tracks[owner.0].stations;
     let beside = stations.iter().any(|station| away(station, first) < NEAR * radius);
-    beside.then_some((carrier, owner, place))
+    beside.then_some(place)
 }
 
 fn last_clean(track: &Track) -> Option<Point3<f64>> {
@@ -86,7 +85,8 @@ fn hand_over(
         let firm = own.iter().rposition(|&(length, sight)| sight == Sight::Clean && length >= RUN);
         let keep: usize = own[..firm.map_or(own.len(), |last| last + 1)].iter().map(|run| run.0).sum();
         track.stations.truncate(keep);
-        march(Wall::new(surface, owners, carrier.0), track, Toward::Joint);
+        let wall = Wall::new(surface, owners, track.chain);
+        march(wall, track, Toward::Joint);
         piece
     });
     network.oriented(owner.0, owner.1, |track| {

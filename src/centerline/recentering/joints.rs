@@ -9,6 +9,8 @@ use nalgebra::{Matrix3, Point3, Unit, Vector3};
 
 use crate::mesh::preparation::Surface;
 
+use crate::centerline::cut_plane::march::{Toward, march};
+use crate::centerline::cut_plane::ownership::Wall;
 use crate::centerline::cut_plane::section::{Frame, Profile};
 use crate::centerline::cut_plane::wall_fit::judge;
 use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
@@ -132,7 +134,14 @@ fn through_direction(approaches: &[Approach]) -> Vector3<f64> {
 
 /// Replaces what follows the last clean station by a run to `centre`, and judges it by the walls of
 /// all `rings` around the joint.
-pub fn run_to_centre(surface: &Surface, track: &mut Track, centre: &Point3<f64>, rings: &[&LevelSet]) {
+pub fn run_to_centre(
+    surface: &Surface,
+    owners: &[u32],
+    track: &mut Track,
+    centre: &Point3<f64>,
+    rings: &[&LevelSet],
+) {
+    come_near(Wall::new(surface, owners, track.chain), track, centre);
     let Some(last_seen) = track.stations.iter().rposition(seen_well) else { return };
     track.stations.truncate(last_seen + 1);
     drop_passed(&mut track.stations, centre);
@@ -153,6 +162,28 @@ pub fn run_to_centre(surface: &Surface, track: &mut Track, centre: &Point3<f64>,
         like = station.frame.u;
         judge_partial(surface, &mut station, &expected, rings);
         track.stations.push(station);
+    }
+}
+
+/// Walks on by clean sections where the last one lies far from the centre: where fronts met, a branch's
+/// level sets end before its joint.
+fn come_near(wall: Wall<'_>, track: &mut Track, centre: &Point3<f64>) {
+    /// Distance that a joint itself may take, in radii.
+    const FAR: f64 = 4.0;
+    /// Fewer sections are no way.
+    const LEAST: usize = 3;
+    let Some(clean) = track.stations.iter().rposition(|s| s.sight == Sight::Clean) else { return };
+    let last = &track.stations[clean];
+    if (centre - last.point).norm() < FAR * last.section_radius {
+        return;
+    }
+    let beyond = track.stations.split_off(clean + 1);
+    march(wall, track, Toward::Centre(*centre));
+    if track.stations.len() < clean + 1 + LEAST {
+        // In the mouth of a wider vessel: the parts of the wall that were seen there say more.
+        track.stations.truncate(clean + 1);
+        track.stations.extend(beyond);
+        update_tangents(&mut track.stations);
     }
 }
 

@@ -78,6 +78,8 @@ pub struct Bulge {
 /// One branch: stations in order from `from` to `to`.
 #[derive(Debug, Clone)]
 pub struct Track {
+    /// Number of the chain that it came from.
+    pub chain: usize,
     /// Node numbers of the component's graph.
     pub from: usize,
     pub to: usize,
