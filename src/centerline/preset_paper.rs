@@ -84,7 +84,7 @@ fn seeds(
 ) -> Result<(Vec<u32>, Vec<DistanceField>), ExtractError> {
     let mut seeds: Vec<u32> = tips.iter().take(MOST_CENTRES).map(|tip| tip.vertex).collect();
     let mut fields = distance_fields(graph, &seeds, &control.cancel)?;
-    let count = best_count(&fields, &seeds, parameters.m());
+    let count = best_count(&fields, &seeds, parameters.m(), &control.cancel)?;
     seeds.truncate(count);
     fields.truncate(count);
     Ok((seeds, fields))

@@ -82,6 +82,7 @@ pub fn segment(
                 strengths = clusters.strengths(&control.cancel)?;
             }
         }
+        control.cancel.check()?;
         objective.push(clusters.objective(&strengths));
         let moved = clusters.relocated(&strengths, &control.cancel)?;
         if moved == clusters.centres {

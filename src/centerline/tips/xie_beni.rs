@@ -2,14 +2,23 @@
 //! the tips make good first cluster centres (IV.A).
 
 use crate::centerline::segmentation::{DistanceField, power};
+use crate::centerline::{CancelToken, ExtractError};
 
 /// `S = sum_j sum_i u_ij² d(i, j)² / (n min d(c_j, c_k)²)` for the first `k` centres, for each `k` from 2 up.
 ///
 /// Compactness over separation: the smaller, the better. `fields[j][i]` is the distance of vertex `i` from
 /// centre `j`, `centres[j]` that centre's vertex, `m` the weight index of eq. 1. The answer's entry `e` is for
 /// `e + 2` centres; it is infinite where two centres coincide. `O(n K)`.
-pub fn validity(fields: &[DistanceField], centres: &[u32], m: f64) -> Vec<f64> {
-    let Some(vertices) = fields.first().map(Vec::len) else { return Vec::new() };
+///
+/// # Errors
+/// [`ExtractError::Cancelled`].
+pub fn validity(
+    fields: &[DistanceField],
+    centres: &[u32],
+    m: f64,
+    cancel: &CancelToken,
+) -> Result<Vec<f64>, ExtractError> {
+    let Some(vertices) = fields.first().map(Vec::len) else { return Ok(Vec::new()) };
     // u_ij = d^-p / D_i with D_i = sum_t d^-p, so sum_j u² d² = sum_j d^(2-2p) / D_i²: both sums grow with k.
     let p = 2.0 / (m - 1.0);
     let mut inverse = vec![0.0f64; vertices];
@@ -17,6 +26,7 @@ pub fn validity(fields: &[DistanceField], centres: &[u32], m: f64) -> Vec<f64> {
     let mut separation = f64::INFINITY;
     let mut answer = Vec::with_capacity(fields.len().saturating_sub(1));
     for (k, field) in fields.iter().enumerate() {
+        cancel.check()?;
         for (i, &distance) in field.iter().enumerate() {
             let weight = power(f64::from(distance), -p);
             inverse[i] += weight;
@@ -37,14 +47,23 @@ pub fn validity(fields: &[DistanceField], centres: &[u32], m: f64) -> Vec<f64> {
             });
         }
     }
-    answer
+    Ok(answer)
 }
 
 /// How many of the centres to keep, from the first: that of the least index, the larger number of two equal.
-pub fn best_count(fields: &[DistanceField], centres: &[u32], m: f64) -> usize {
-    let validity = validity(fields, centres, m);
+///
+/// # Errors
+/// [`ExtractError::Cancelled`].
+pub fn best_count(
+    fields: &[DistanceField],
+    centres: &[u32],
+    m: f64,
+    cancel: &CancelToken,
+) -> Result<usize, ExtractError> {
+    let validity = validity(fields, centres, m, cancel)?;
     let least = validity.iter().copied().fold(f64::INFINITY, f64::min);
-    validity.iter().rposition(|&value| value <= least).map_or(centres.len().min(2), |index| index + 2)
+    let best = validity.iter().rposition(|&value| value <= least);
+    Ok(best.map_or(centres.len().min(2), |index| index + 2))
 }
 
 #[cfg(test)]
@@ -73,7 +92,7 @@ mod tests {
                 }
             }
         }
-        let index = validity(&fields(&points, &centres), &centres, m);
+        let index = validity(&fields(&points, &centres), &centres, m, &CancelToken::new()).unwrap();
         assert_eq!(index.len(), 1);
         assert!((index[0] - sum / (4.0 * 16.0)).abs() < 1e-7, "{} {}", index[0], sum / 64.0);
     }
@@ -86,15 +105,21 @@ mod tests {
             .collect();
         // Clump centres first, then two that split a clump.
         let centres = [10, 52, 31, 25, 5];
-        assert_eq!(best_count(&fields(&clumps, &centres), &centres, 2.0), 3);
+        assert_eq!(best_count(&fields(&clumps, &centres), &centres, 2.0, &CancelToken::new()).unwrap(), 3);
     }
 
     #[test]
     fn coinciding_centres_are_never_chosen() {
         let points: Vec<f64> = (0..40).map(f64::from).collect();
         let centres = [0, 39, 39];
-        assert!(validity(&fields(&points, &centres), &centres, 2.0)[1].is_infinite());
-        assert_eq!(best_count(&fields(&points, &centres), &centres, 2.0), 2);
-        assert_eq!(best_count(&fields(&points, &centres[..1]), &centres[..1], 2.0), 1);
+        assert!(
+            validity(&fields(&points, &centres), &centres, 2.0, &CancelToken::new()).unwrap()[1]
+                .is_infinite()
+        );
+        assert_eq!(best_count(&fields(&points, &centres), &centres, 2.0, &CancelToken::new()).unwrap(), 2);
+        assert_eq!(
+            best_count(&fields(&points, &centres[..1]), &centres[..1], 2.0, &CancelToken::new()).unwrap(),
+            1
+        );
     }
 }
