@@ -79,8 +79,10 @@ fn sqlite_pool(connections: u32) -> AnyPoolOptions {
         .max_lifetime(None)
         .after_connect(|connection, _| {
             Box::pin(async move {
+                // A purged row may have held a patient's name: its bytes are overwritten.
                 let pragmas = format!(
-                    "PRAGMA busy_timeout = {}; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL;",
+                    "PRAGMA busy_timeout = {}; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; \
+                     PRAGMA secure_delete = ON;",
                     BUSY.as_millis()
                 );
                 sqlx::raw_sql(AssertSqlSafe(pragmas)).execute(connection).await?;
