@@ -15,6 +15,7 @@ mod parameters;
 mod point_grid;
 mod preset_default;
 mod preset_paper;
+mod ray;
 mod recentering;
 mod segmentation;
 #[cfg(test)]

@@ -5,6 +5,7 @@ use nalgebra::{Point3, Vector3};
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::graph::Warning;
+use crate::centerline::ray::crossing;
 use crate::centerline::segmentation::track::Sight;
 
 use super::network::Network;
@@ -74,21 +75,8 @@ fn stretches(network: &Network) -> Vec<Stretch> {
 fn inside(surface: &Surface, point: &Point3<f64>) -> bool {
     // No edge of a mesh made by a program runs along it.
     let direction = Vector3::new(0.5377, 0.3185, 0.7806);
-    let crosses = |corners: &[u32; 3]| {
-        let [a, b, c] = corners.map(|v| surface.mesh.vertices[v as usize]);
-        let (e1, e2) = (b - a, c - a);
-        let p = direction.cross(&e2);
-        let determinant = e1.dot(&p);
-        if determinant == 0.0 {
-            return false;
-        }
-        let s = point - a;
-        let u = s.dot(&p) / determinant;
-        let q = s.cross(&e1);
-        let v = direction.dot(&q) / determinant;
-        u >= 0.0 && v >= 0.0 && u + v <= 1.0 && e2.dot(&q) / determinant > 0.0
-    };
-    surface.mesh.triangles.iter().filter(|corners| crosses(corners)).count() % 2 == 1
+    let crosses = |corners: &&[u32; 3]| crossing(surface, corners, point, &direction, |d| d != 0.0).is_some();
+    surface.mesh.triangles.iter().filter(crosses).count() % 2 == 1
 }
 
 #[cfg(test)]

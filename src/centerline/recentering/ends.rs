@@ -5,6 +5,7 @@ use nalgebra::{Point3, Vector3};
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
+use crate::centerline::ray::crossing;
 use crate::centerline::segmentation::track::{Bulge, Station, Track};
 
 /// Where the line of a track, continued past its last station, meets the surface.
@@ -35,7 +36,7 @@ pub fn end_point(surface: &Surface, track: &Track, tip: u32) -> EndPoint {
     let line = CurveEnd::of(&points, reach);
     let line =
         line.unwrap_or(CurveEnd { point: last.point, tangent: *last.tangent, curvature: nalgebra::zero() });
-    let hit = first_hit(surface, &last.point, &line.tangent).map(|(distance, _)| distance);
+    let hit = first_hit(surface, &last.point, &line.tangent);
     let near = hit.filter(|distance| *distance < 4.0 * last.section_radius);
     let to_tip = (tip_point - last.point).dot(&line.tangent).max(0.1 * last.section_radius);
     let distance = near.unwrap_or(to_tip);
@@ -45,7 +46,7 @@ pub fn end_point(surface: &Surface, track: &Track, tip: u32) -> EndPoint {
 /// The far wall of a bulge, seen from its joint through its middle.
 pub fn far_wall(surface: &Surface, bulge: &Bulge, joint: &Point3<f64>) -> Option<EndPoint> {
     let direction = (bulge.centre - joint).try_normalize(0.0)?;
-    let (distance, _) = first_hit(surface, &bulge.centre, &direction)?;
+    let distance = first_hit(surface, &bulge.centre, &direction)?;
     let distance = distance.min(2.0 * bulge.radius);
     Some(EndPoint { point: bulge.centre + direction * distance, radius: 0.05 * bulge.radius })
 }
@@ -61,27 +62,9 @@ fn continued_radius(track: &Track, distance: f64) -> f64 {
     (radius + slope * distance).clamp(0.05 * radius, 1.5 * radius)
 }
 
-/// Nearest crossing of a ray from inside with a triangle that faces away from it (Moller and Trumbore 1997).
-fn first_hit(surface: &Surface, origin: &Point3<f64>, direction: &Vector3<f64>) -> Option<(f64, u32)> {
-    let mut best: Option<(f64, u32)> = None;
-    for (t, corners) in surface.mesh.triangles.iter().enumerate() {
-        let [a, b, c] = corners.map(|v| surface.mesh.vertices[v as usize]);
-        let (e1, e2) = (b - a, c - a);
-        let p = direction.cross(&e2);
-        let determinant = e1.dot(&p);
-        // Outward normals point along the ray where it leaves the lumen: the determinant is negative.
-        if determinant >= 0.0 {
-            continue;
-        }
-        let s = origin - a;
-        let u = s.dot(&p) / determinant;
-        let q = s.cross(&e1);
-        let v = direction.dot(&q) / determinant;
-        let distance = e2.dot(&q) / determinant;
-        let inside = u >= 0.0 && v >= 0.0 && u + v <= 1.0;
-        if inside && distance > 0.0 && best.is_none_or(|(nearest, _)| distance < nearest) {
-            best = Some((distance, t as u32));
-        }
-    }
-    best
+/// Distance to the nearest triangle through which a ray from inside leaves the lumen. O(triangles).
+fn first_hit(surface: &Surface, origin: &Point3<f64>, direction: &Vector3<f64>) -> Option<f64> {
+    let leaves = |determinant: f64| determinant < 0.0;
+    let hits = surface.mesh.triangles.iter().filter_map(|t| crossing(surface, t, origin, direction, leaves));
+    hits.min_by(f64::total_cmp)
 }
