@@ -101,6 +101,14 @@ impl JobStore for Doubtful {
         self.inner.dismiss(id, now)
     }
 
+    fn begin_purge(&self, id: JobId, now: i64) -> StoreFuture<'_, bool> {
+        self.inner.begin_purge(id, now)
+    }
+
+    fn purging(&self) -> StoreFuture<'_, Vec<JobId>> {
+        self.inner.purging()
+    }
+
     fn delete(&self, id: JobId) -> StoreFuture<'_, bool> {
         self.inner.delete(id)
     }

@@ -3,11 +3,9 @@
 
 #[allow(dead_code)] // Each test file uses its own part.
 mod jobs_fakes;
+#[path = "common/small_disk.rs"]
+mod small_disk;
 
-use std::fs::{self, File};
-use std::io::Write;
-use std::path::PathBuf;
-use std::process::Command;
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -16,48 +14,12 @@ use jobs_fakes::{Script, ended, files, running, settings, submit, until};
 use rosaline::jobs::blob::BlobError;
 use rosaline::jobs::store::StoreError;
 use rosaline::jobs::{JobError, JobService, JobSpec, JobStatus};
-use tempfile::TempDir;
-
-/// A mounted tmpfs of 8 MiB; unmounted on drop.
-struct SmallDisk(TempDir);
-
-impl SmallDisk {
-    fn mount() -> Option<Self> {
-        let dir = tempfile::tempdir().unwrap();
-        let mut mount = Command::new("mount");
-        let mounted = mount.args(["-t", "tmpfs", "-o", "size=8m", "tmpfs"]).arg(dir.path()).output();
-        if mounted.is_ok_and(|output| output.status.success()) {
-            return Some(Self(dir));
-        }
-        println!("skipped: a tmpfs cannot be mounted here");
-        None
-    }
-
-    fn filler(&self) -> PathBuf {
-        self.0.path().join("filler")
-    }
-
-    /// Writes until nothing more fits.
-    fn fill(&self) {
-        let mut filler = File::options().append(true).create(true).open(self.filler()).unwrap();
-        while filler.write(&[0; 4096]).is_ok_and(|written| written == 4096) {}
-    }
-
-    fn free(&self) {
-        fs::remove_file(self.filler()).unwrap();
-    }
-}
-
-impl Drop for SmallDisk {
-    fn drop(&mut self) {
-        Command::new("umount").arg("--lazy").arg(self.0.path()).status().unwrap();
-    }
-}
+use small_disk::SmallDisk;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_disk_refuses_and_recovers_by_itself() {
     let Some(disk) = SmallDisk::mount() else { return };
-    let (data, script) = (disk.0.path().join("data"), Script::new());
+    let (data, script) = (disk.path().join("data"), Script::new());
     let service = JobService::open(settings(&data, 1), script.clone()).await.unwrap();
     let job = submit(&service, "hold").await;
     running(&service, job.id).await;

@@ -119,8 +119,8 @@ impl BlobStore for Disk {
         self.inner.delete(key)
     }
 
-    fn list(&self) -> BlobFuture<'_, Vec<String>> {
-        self.inner.list()
+    fn list<'a>(&'a self, folder: &'a str) -> BlobFuture<'a, Vec<String>> {
+        self.inner.list(folder)
     }
 
     fn check(&self) -> BlobFuture<'_, ()> {

@@ -14,9 +14,10 @@ use super::prefer::{PREFER, PREFERENCE_APPLIED};
 const PREFLIGHT_AGE: Duration = Duration::from_secs(2 * 60 * 60);
 
 /// The request headers that the API reads, beside those that Fetch always allows.
-pub const REQUEST_HEADERS: [HeaderName; 9] = [
+pub const REQUEST_HEADERS: [HeaderName; 10] = [
     header::ACCEPT,
     header::CONTENT_TYPE,
+    header::IF_MATCH,
     header::IF_NONE_MATCH,
     header::IF_RANGE,
     header::RANGE,

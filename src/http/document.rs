@@ -11,17 +11,20 @@ use utoipa::openapi::path::{Operation, PathItem};
 use utoipa::openapi::{Info, License, RefOr, Tag};
 
 use super::{limits, problem, representation, router};
+use crate::jobs::JobFailure;
 use crate::output::ResultDocument;
 
 pub use parameters::{
-    AcceptHeader, ChangeHeader, ConditionHeaders, IfNoneMatchHeader, JobPath, ListParameters, OriginHeaders,
-    PreferHeader, SubmitQuery,
+    AcceptHeader, ChangeHeader, ConditionHeaders, IfMatchHeader, IfNoneMatchHeader, JobPath, ListParameters,
+    OriginHeaders, PreferHeader, SubmitQuery,
 };
 pub use problems::{
-    JobProblems, ListProblems, NegotiatedProblems, ReadyProblems, ResultProblems, SubmitProblems,
+    DeleteProblems, JobProblems, ListProblems, NegotiatedProblems, ReadyProblems, ResultProblems,
+    SubmitProblems,
 };
 pub use responses::{
-    AnyResult, Created, Deleted, Document, GlbResult, GltfResult, Healthy, JsonResult, List, Status,
+    AnyResult, Created, Deleted, Document, GlbResult, GltfResult, Healthy, JsonResult, LimitsAnswer, List,
+    Status,
 };
 
 // Tags.
@@ -36,7 +39,8 @@ pub const SERVICE: &str = "service";
     representation::ListDocument,
     problem::Details,
     ResultDocument,
-    super::operations::health::Health
+    super::operations::health::Health,
+    super::operations::limits::LimitsDocument
 )))]
 struct Schemas;
 
@@ -115,15 +119,18 @@ fn description() -> String {
          Post a mesh, follow its job, get the centerline. A job is durable once it is answered with 201.\n\n\
          Errors are problem details (RFC 9457) whose `type` is `{prefix}` and one of the words below; a failed \
          job's `error` has the words of the method's own failures too (`no-triangles`, `all-degenerate`, \
-         `not-finite`, `out-of-range`, `out-of-scale`, `not-tubular`, `undersampled`). A word never changes its meaning.\n\n\
+         `not-finite`, `out-of-range`, `out-of-scale`, `not-tubular`, `undersampled`), or one of the queue's: \
+         {failures}. A word never changes its meaning.\n\n\
          | word | status | title |\n| --- | --- | --- |\n",
         prefix = problem::TYPE_PREFIX,
+        failures = JobFailure::CODES.map(|code| format!("`{code}`")).join(", "),
     );
     for kind in problem::ALL {
         text.push_str(&format!("| {} | {} | {} |\n", kind.word, kind.status.as_u16(), kind.title));
     }
     text.push_str(&format!(
-        "\nUnless the operator sets other limits, an upload may have {} bytes, a mesh {} vertices and {} triangles.",
+        "\nUnless the operator sets other limits, an upload may have {} bytes, a mesh {} vertices and {} triangles; `/v1/limits` \
+         has those in force.",
         limits.upload_bytes, limits.mesh.vertices, limits.mesh.triangles
     ));
     text

@@ -28,6 +28,16 @@ impl ETag {
             .any(|tag| tag == "*" || tag.strip_prefix("W/").unwrap_or(tag) == self.0)
     }
 
+    /// Whether `If-Match` allows the request: there is none, or it names this tag (by strong comparison) or any.
+    pub fn allows(&self, headers: &HeaderMap) -> bool {
+        let mut lists = headers.get_all(header::IF_MATCH).iter().peekable();
+        lists.peek().is_none()
+            || lists
+                .flat_map(|list| list.to_str().unwrap_or_default().split(','))
+                .map(str::trim)
+                .any(|tag| tag == "*" || tag == self.0)
+    }
+
     /// Whether a `Range` applies: there is no `If-Range`, or it names this tag (by strong comparison).
     ///
     /// Results carry no `Last-Modified`, so a date never matches.
@@ -59,6 +69,18 @@ mod tests {
         }
         for value in ["abc", "\"abcd\"", "\"ABC\""] {
             assert!(!tag.is_known_to(&headers(header::IF_NONE_MATCH, value)), "{value}");
+        }
+    }
+
+    #[test]
+    fn if_match_compares_strongly() {
+        let tag = ETag::of_digest("abc");
+        assert!(tag.allows(&HeaderMap::new()));
+        for value in ["\"abc\"", "\"x\", \"abc\"", "*"] {
+            assert!(tag.allows(&headers(header::IF_MATCH, value)), "{value}");
+        }
+        for value in ["W/\"abc\"", "\"x\"", "abc", ""] {
+            assert!(!tag.allows(&headers(header::IF_MATCH, value)), "{value}");
         }
     }
 

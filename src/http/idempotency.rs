@@ -80,7 +80,12 @@ pub fn in_flight() -> Problem {
 }
 
 fn key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
-    let Some(value) = headers.get(&IDEMPOTENCY_KEY) else { return Ok(None) };
+    let mut values = headers.get_all(&IDEMPOTENCY_KEY).iter();
+    let Some(value) = values.next() else { return Ok(None) };
+    if values.next().is_some() {
+        let detail = "the request has two keys; send one";
+        return Err(Problem::new(&INVALID_PARAMETER, detail).with("parameter", IDEMPOTENCY_KEY.as_str()));
+    }
     let text = value.to_str().unwrap_or_default();
     let key = text.strip_prefix('"').unwrap_or(text);
     let key = key.strip_suffix('"').unwrap_or(key);
@@ -118,5 +123,8 @@ mod tests {
             assert!(key(&headers(value)).is_err(), "{value}");
         }
         assert_eq!(key(&headers(&"x".repeat(128))).unwrap().unwrap().len(), 128);
+        let mut two = headers("a");
+        two.append(IDEMPOTENCY_KEY, "a".parse().unwrap());
+        assert!(key(&two).is_err());
     }
 }

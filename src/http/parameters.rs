@@ -1,8 +1,11 @@
 //! A job's parameters, from the query or from the `parameters` part of a multipart upload.
 
+use std::fmt;
 use std::str::FromStr;
 
+use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 use serde_json::Value;
+use serde_json::error::Category;
 
 use super::limits::Limits;
 use super::problem::{INVALID_PARAMETER, MALFORMED_REQUEST, Problem, UNKNOWN_PARAMETER};
@@ -58,19 +61,48 @@ impl Asked {
     }
 }
 
+/// An object's members in order, with those that have one name.
+struct Members(Vec<(String, Value)>);
+
+impl<'de> Deserialize<'de> for Members {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Object;
+
+        impl<'de> Visitor<'de> for Object {
+            type Value = Members;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("an object")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Members, A::Error> {
+                let mut members = Vec::new();
+                while let Some(member) = map.next_entry()? {
+                    members.push(member);
+                }
+                Ok(Members(members))
+            }
+        }
+
+        deserializer.deserialize_map(Object)
+    }
+}
+
 /// Name and value pairs of a JSON object with the same names: `{"units": "mm", "omega": 0.8, "smoothing": true}`.
 ///
 /// # Errors
 /// A 400 when it is no such object.
 pub fn json_pairs(bytes: &[u8]) -> Result<Vec<(String, String)>, Problem> {
     let malformed = |detail: String| Problem::new(&MALFORMED_REQUEST, detail);
-    let value: Value = serde_json::from_slice(bytes)
-        .map_err(|error| malformed(format!("the part 'parameters' is not JSON: {error}")))?;
-    let Value::Object(members) = value else {
-        return Err(malformed("the part 'parameters' is not a JSON object".to_owned()));
-    };
-    let mut pairs = Vec::new();
+    let Members(members) = serde_json::from_slice(bytes).map_err(|error| match error.classify() {
+        Category::Data => malformed("the part 'parameters' is not a JSON object".to_owned()),
+        _ => malformed(format!("the part 'parameters' is not JSON: {error}")),
+    })?;
+    let mut pairs: Vec<(String, String)> = Vec::new();
     for (name, value) in members {
+        if pairs.iter().any(|(other, _)| *other == name) {
+            return Err(invalid(&name, format!("{} is given twice; give it once", shown(&name))));
+        }
         let kind = TABLE.iter().find(|spec| spec.name == name).map(|spec| spec.kind);
         let text = match (kind, value) {
             (Some(ParameterKind::Number { .. }), Value::Number(number)) => number.to_string(),
@@ -190,6 +222,8 @@ mod tests {
             br#"{"smoothing": 1}"#,
             br#"{"name": null}"#,
             br#"{"omgea": 1}"#,
+            br#"{"omega": 0.7, "omega": 0.8}"#,
+            br#"{"omega": 0.7, "omeg\u0061": 0.8}"#,
         ] {
             assert!(json_pairs(bad).is_err());
         }

@@ -8,7 +8,7 @@ use tower_http::catch_panic::CatchPanicLayer;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use super::operations::{delete, health, list, openapi, result, status, submit};
+use super::operations::{delete, health, limits, list, openapi, result, status, submit};
 use super::problem::{INTERNAL_ERROR, METHOD_NOT_ALLOWED, NOT_FOUND, Problem};
 use super::{App, cors, document, lingering, trace};
 
@@ -21,6 +21,7 @@ pub fn routes() -> OpenApiRouter<App> {
         .routes(routes!(result::json))
         .routes(routes!(result::gltf))
         .routes(routes!(result::glb))
+        .routes(routes!(limits::limits))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
         .routes(routes!(openapi::openapi))

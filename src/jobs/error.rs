@@ -16,6 +16,8 @@ pub enum JobError {
     Dismissed { id: JobId },
     #[error("job {id} failed: {failure}")]
     Failed { id: JobId, failure: Box<JobFailure> },
+    #[error("job {id} is being purged")]
+    Purging { id: JobId },
     #[error("job {id} has no result as {}", format.extension())]
     NoSuchResult { id: JobId, format: OutputFormat },
     #[error("the service is shutting down; try again when it is back")]

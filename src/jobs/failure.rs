@@ -19,6 +19,11 @@ pub struct JobFailure {
 }
 
 impl JobFailure {
+    /// The codes of the failures below, whatever the mesh: what a job may fail with beside its reader's and its
+    /// method's errors.
+    pub const CODES: [&str; 6] =
+        ["internal-error", "crashed", "input-lost", "unreadable-job", "stale-parameters", "result-too-large"];
+
     pub fn new(code: &str, status: u16, title: &str, detail: impl Into<String>) -> Self {
         Self { code: code.to_owned(), status, title: title.to_owned(), detail: detail.into() }
     }

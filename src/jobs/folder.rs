@@ -1,8 +1,12 @@
 //! The data folder: created on first start, locked to one process.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+
+/// Bytes kept free for changes of the database on a full disk: a start, a cancellation, a purge.
+const RESERVE: usize = 1 << 20;
+const RESERVE_STEP: usize = 4 << 10;
 
 /// Why the data folder cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -44,9 +48,45 @@ impl DataFolder {
         format!("sqlite://{}?mode=rwc", percent_encoded(&self.path.join("jobs.sqlite")))
     }
 
+    /// Gives the reserve back to the disk, so that a change of the database fits on a full one.
+    pub(super) fn release_reserve(&self) {
+        // Where there is none, or it stays, the change fails as it would have without.
+        fs::remove_file(self.reserve()).ok();
+    }
+
+    /// Keeps some of the disk for [`DataFolder::release_reserve`]; of a full disk, what is left.
+    ///
+    /// Blocks.
+    pub(super) fn keep_reserve(&self) {
+        let Ok(mut file) = OpenOptions::new().create(true).append(true).open(self.reserve()) else { return };
+        let kept = file.metadata().map_or(0, |found| usize::try_from(found.len()).unwrap_or(RESERVE));
+        let missing = incompressible(RESERVE.saturating_sub(kept));
+        // A full disk ends this early: the next round goes on.
+        if missing.chunks(RESERVE_STEP).try_for_each(|chunk| file.write_all(chunk)).is_ok()
+            && !missing.is_empty()
+        {
+            file.sync_all().ok();
+        }
+    }
+
+    fn reserve(&self) -> PathBuf {
+        self.path.join("reserve")
+    }
+
     pub fn blobs(&self) -> PathBuf {
         self.path.join("blobs")
     }
+}
+
+/// Bytes that no file system stores in less.
+fn incompressible(length: usize) -> Vec<u8> {
+    let mut state = 1_u64;
+    let next = |_| {
+        // Knuth's MMIX generator; its high bits are the good ones.
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 56) as u8
+    };
+    (0..length).map(next).collect()
 }
 
 /// Creates `path`, readable by its owner only, and makes the new entries durable.
@@ -93,7 +133,11 @@ mod tests {
         );
         assert!(first.database_url().ends_with("a%20b%3F%23%25/data/jobs.sqlite?mode=rwc"));
         drop(first);
-        DataFolder::open(&path).unwrap();
+        let second = DataFolder::open(&path).unwrap();
+        second.keep_reserve();
+        assert_eq!(fs::metadata(path.join("reserve")).unwrap().len(), 1 << 20);
+        second.release_reserve();
+        assert!(!path.join("reserve").exists());
     }
 
     #[test]

@@ -8,7 +8,7 @@
 //! * an input is on disk (fsynced) before its job row, and the row is committed before `submit` returns;
 //! * results are on disk before their job says `successful`;
 //! * every update of a running job is fenced by the lease of its claim, so a job ends once;
-//! * a job's row goes before its files; files without a row are removed at the next start.
+//! * a purged job's files go before its row; files without a row are removed at the next start.
 //!
 //! Nothing here knows of HTTP, and nothing here logs a mesh's file name or content.
 
@@ -18,11 +18,13 @@ mod error;
 pub mod extraction;
 mod failure;
 mod folder;
+mod housekeeping;
 mod id;
 mod live;
 mod model;
 mod panics;
 mod recovery;
+mod removal;
 mod results;
 pub mod runner;
 mod service;
@@ -42,6 +44,7 @@ pub use model::{
     StoredArtifact, StoredInput, UnknownStatus,
 };
 pub use panics::log_panics_without_text;
-pub use service::{JobService, Removed, Upload};
+pub use removal::Removed;
+pub use service::{JobService, Upload};
 pub use settings::{MAX_CRASHES, Settings, TooManyWorkers};
 pub use storage::Storage;

@@ -270,6 +270,8 @@ pub struct Job {
     pub attempts: u32,
     /// Of a running job.
     pub lease: Option<Lease>,
+    /// When its purge was begun: some of its files may be gone.
+    pub purging: Option<i64>,
 }
 
 impl Job {
@@ -290,6 +292,7 @@ impl Job {
             artifacts: Vec::new(),
             attempts: 0,
             lease: None,
+            purging: None,
         }
     }
 }

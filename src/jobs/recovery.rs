@@ -24,6 +24,7 @@ pub(super) async fn recover(
             "the last process did not stop in order"
         );
     }
+    finish_purges(store, blobs).await?;
     let removed = remove_orphans(store, blobs).await?;
     if removed > 0 {
         tracing::info!(files = removed, "removed files without a job");
@@ -31,10 +32,30 @@ pub(super) async fn recover(
     Ok(())
 }
 
+/// Ends the purges that were begun; one that cannot be ended now is tried again later.
+pub(super) async fn finish_purges(store: &dyn JobStore, blobs: &dyn BlobStore) -> Result<(), StoreError> {
+    for id in store.purging().await? {
+        match purge(store, blobs, id).await {
+            Ok(()) => tracing::info!(%id, "purged"),
+            Err(error) => tracing::error!(%id, %error, "the purge cannot be ended now"),
+        }
+    }
+    Ok(())
+}
+
+/// Removes a job's files, then its row, which says until then that they may be there.
+pub(super) async fn purge(store: &dyn JobStore, blobs: &dyn BlobStore, id: JobId) -> Result<(), JobError> {
+    for key in blobs.list(&id.to_string()).await? {
+        blobs.delete(&key).await?;
+    }
+    store.delete(id).await?;
+    Ok(())
+}
+
 /// Removes every blob that no row names; the number removed.
 async fn remove_orphans(store: &dyn JobStore, blobs: &dyn BlobStore) -> Result<usize, JobError> {
     let mut owners: BTreeMap<JobId, Vec<String>> = BTreeMap::new();
-    for key in blobs.list().await? {
+    for key in blobs.list("").await? {
         let owner = key.split('/').next().and_then(|first| first.parse().ok());
         // Files of another shape are not ours to remove.
         if let Some(owner) = owner {
@@ -54,8 +75,12 @@ async fn remove_orphans(store: &dyn JobStore, blobs: &dyn BlobStore) -> Result<u
             Err(error) => return Err(error.into()),
         };
         for key in chunk.iter().flat_map(|(_, keys)| keys).filter(|key| !owned.contains(*key)) {
-            blobs.delete(key).await?;
-            removed += 1;
+            match blobs.delete(key).await {
+                Ok(()) => removed += 1,
+                Err(error) => {
+                    tracing::error!(%error, "a file without a job cannot be removed; the next start tries again")
+                }
+            }
         }
     }
     Ok(removed)

@@ -12,10 +12,11 @@ use tokio::sync::{Notify, watch};
 use tokio::task::JoinHandle;
 
 use super::blob::BlobReader;
+use super::housekeeping;
 use super::live::Board;
 use super::recovery::recover;
 use super::runner::JobRunner;
-use super::store::{ListQuery, Page, StoreError};
+use super::store::{ListQuery, Page};
 use super::worker::{Phase, Shared, Worker};
 use super::{
     Clock, Counts, IdSource, Job, JobError, JobId, JobSpec, JobStatus, Settings, Storage, StoredArtifact,
@@ -67,18 +68,9 @@ impl Drop for Upload {
     }
 }
 
-/// What [`JobService::remove`] did.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Removed {
-    /// The job was active; it is dismissed now.
-    Dismissed(Box<Job>),
-    /// The job had ended; it and its files are gone.
-    Purged,
-}
-
 /// The durable queue with its workers. All methods may be called from any number of tasks.
 pub struct JobService {
-    shared: Arc<Shared>,
+    pub(super) shared: Arc<Shared>,
     ids: IdSource,
     workers: Mutex<Vec<JoinHandle<()>>>,
 }
@@ -111,14 +103,16 @@ impl JobService {
             clock,
             board: Arc::new(Board::default()),
             settings,
-            _folder: storage.folder,
+            folder: storage.folder,
             wake: Notify::new(),
             held: AtomicUsize::new(0),
             phase: watch::Sender::new(Phase::Open),
         });
         let workers: Result<Vec<Worker>, _> =
             (0..shared.settings.workers.get()).map(|number| Worker::new(shared.clone(), number)).collect();
-        let workers = workers?.into_iter().map(|worker| tokio::spawn(worker.work())).collect();
+        let mut workers: Vec<_> = workers?.into_iter().map(|worker| tokio::spawn(worker.work())).collect();
+        housekeeping::keep_reserve(&shared).await;
+        workers.push(tokio::spawn(housekeeping::keep(shared.clone())));
         Ok(Arc::new(Self { shared, ids, workers: Mutex::new(workers) }))
     }
 
@@ -235,74 +229,15 @@ impl JobService {
         Ok(self.shared.store.counts().await?)
     }
 
-    /// Cancels an active job; purges one that has ended, or whose row cannot be read, with its files.
-    pub async fn remove(&self, id: JobId) -> Result<Removed, JobError> {
-        // Each turn ends unless the job changed its state in between.
-        loop {
-            let job = match self.shared.store.get(id).await {
-                Ok(job) => Some(job.ok_or(JobError::NotFound { id })?),
-                Err(StoreError::Corrupt { .. }) => None,
-                Err(error) => return Err(error.into()),
-            };
-            let active = job.as_ref().is_none_or(|job| job.status.is_active());
-            if active && self.dismiss(id).await? && job.is_some() {
-                return Ok(Removed::Dismissed(Box::new(self.status(id).await?)));
-            }
-            if (!active || job.is_none()) && self.shared.store.delete(id).await? {
-                self.purge_files(id, job.as_ref()).await;
-                tracing::info!(%id, "purged");
-                return Ok(Removed::Purged);
-            }
-        }
-    }
-
-    /// Ends an active job and its run; whether it was active.
-    async fn dismiss(&self, id: JobId) -> Result<bool, JobError> {
-        let (shared, board) = (&self.shared, &self.shared.board);
-        let dismissed = shared.store.dismiss(id, shared.clock.now_ms()).await;
-        // After an error it may be committed all the same: the store knows.
-        let dismissed = dismissed.inspect_err(|_| board.forget_accepted(id))?;
-        if dismissed {
-            board.cancel(id);
-            board.end(id);
-            // Others may have waited for it to go first.
-            shared.wake.notify_one();
-            tracing::info!(%id, "dismissed");
-        }
-        Ok(dismissed)
-    }
-
-    /// The row is gone already, so a file that cannot be removed now goes at the next start.
-    async fn purge_files(&self, id: JobId, job: Option<&Job>) {
-        let purge = async || {
-            for key in self.files_of(id, job).await? {
-                self.shared.blobs.delete(&key).await?;
-            }
-            Ok::<_, JobError>(())
-        };
-        if let Err(error) = purge().await {
-            tracing::warn!(%id, %error, "a purged job's file stays until the next start");
-        }
-    }
-
-    /// The files that the job's row names; without a row, those in the job's folder.
-    async fn files_of(&self, id: JobId, job: Option<&Job>) -> Result<Vec<String>, JobError> {
-        if let Some(job) = job {
-            let results = job.artifacts.iter().map(|artifact| artifact.key.clone());
-            return Ok(std::iter::once(job.input.key.clone()).chain(results).collect());
-        }
-        let folder = format!("{id}/");
-        let mut keys = self.shared.blobs.list().await?;
-        keys.retain(|key| key.starts_with(&folder));
-        Ok(keys)
-    }
-
     /// A successful job's result in one form.
     ///
     /// # Errors
     /// [`JobError::NotReady`], [`JobError::Failed`] or [`JobError::Dismissed`] by the job's state.
     pub async fn result(&self, id: JobId, format: OutputFormat) -> Result<StoredArtifact, JobError> {
         let job = self.shared.store.get(id).await?.ok_or(JobError::NotFound { id })?;
+        if job.purging.is_some() {
+            return Err(JobError::Purging { id });
+        }
         match (job.status, job.error) {
             (JobStatus::Successful, _) => {
                 let found = job.artifacts.into_iter().find(|artifact| artifact.format == format);

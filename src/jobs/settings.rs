@@ -20,6 +20,8 @@ pub struct Settings {
     pub max_crashes: NonZeroU32,
     /// How often an idle worker looks into the store although nobody woke it.
     pub poll: Duration,
+    /// How often the service looks after its data folder.
+    pub housekeeping: Duration,
     /// The least time between two writes of a running job's progress to the store.
     pub flush: Duration,
 }
@@ -44,6 +46,7 @@ impl Settings {
             threads_per_worker,
             max_crashes: MAX_CRASHES,
             poll: Duration::from_secs(5),
+            housekeeping: Duration::from_secs(60),
             flush: Duration::from_secs(1),
         }
     }

@@ -21,6 +21,8 @@ impl Storage {
         let data = data.to_owned();
         let (folder, blobs) = tokio::task::spawn_blocking(move || {
             let folder = DataFolder::open(&data)?;
+            // Until the service has started: a full disk must not keep it from that.
+            folder.release_reserve();
             let blobs = LocalBlobs::open(&folder.blobs())?;
             Ok::<_, JobError>((folder, blobs))
         })

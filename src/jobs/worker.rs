@@ -47,7 +47,7 @@ pub(super) struct Shared {
     pub(super) board: Arc<Board>,
     pub(super) settings: Settings,
     /// Locked as long as a worker lives.
-    pub(super) _folder: Option<DataFolder>,
+    pub(super) folder: Option<DataFolder>,
     pub(super) wake: Notify,
     /// Workers that wait for a run which does not obey its cancellation.
     pub(super) held: AtomicUsize,

@@ -43,6 +43,20 @@ async fn a_job_that_has_ended_is_purged_with_its_files() {
 }
 
 #[tokio::test]
+async fn a_deletion_may_depend_on_the_status_that_the_client_knows() {
+    let service = Service::start(&[]);
+    let job = service.accepted("", meshes::small()).await;
+    service.ended(&job).await;
+    let etag = service.get(&job).send().await.unwrap().headers()["etag"].clone();
+    let stale = service.delete(&job).header("if-match", "\"old\"").send().await.unwrap();
+    assert_eq!(problem(stale, 412, "precondition-failed").await["instance"], job);
+    assert_eq!(service.status(&job).await["status"], "successful");
+    assert_eq!(service.delete(&job).header("if-match", etag).send().await.unwrap().status(), 204);
+    let gone = service.delete(&job).header("if-match", "*").send().await.unwrap();
+    problem(gone, 404, "job-not-found").await;
+}
+
+#[tokio::test]
 async fn a_result_is_not_there_before_its_job_has_ended() {
     let service = Service::start(&["--workers", "1"]);
     let job = service.backlog(3, &meshes::large()).await.remove(2);

@@ -9,7 +9,10 @@ mod gltf_checker;
 mod meshes;
 #[path = "../common/service.rs"]
 mod service;
+#[path = "../common/small_disk.rs"]
+mod small_disk;
 
+mod bombs;
 mod busy;
 mod changes;
 mod deletion;
@@ -21,5 +24,6 @@ mod results;
 mod setup;
 mod shared_meshes;
 mod stalls;
+mod storage_faults;
 mod submission;
 mod uploads;

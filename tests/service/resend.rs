@@ -67,6 +67,22 @@ async fn a_refused_request_leaves_its_key_free() {
 }
 
 #[tokio::test]
+async fn what_could_be_read_in_two_ways_is_refused() {
+    let service = Service::start(&[]);
+    let two = service.post("/v1/jobs").header("idempotency-key", "a").header("idempotency-key", "b");
+    problem(two.body(meshes::small()).send().await.unwrap(), 400, "invalid-parameter").await;
+    let mesh = || Part::bytes(meshes::small());
+    let twice =
+        Form::new().part("parameters", Part::text(r#"{"omega": 0.7, "omega": 0.8}"#)).part("mesh", mesh());
+    let response = service.post("/v1/jobs").multipart(twice).send().await.unwrap();
+    assert_eq!(problem(response, 400, "invalid-parameter").await["parameter"], "omega");
+    for query in ["?name=%FF%FE.stl", "?client_reference=a%C3", "?%80=1"] {
+        problem(service.submit(query, meshes::small()).await, 400, "malformed-request").await;
+    }
+    service.accepted("?name=%C3%A4rtery%20100%25.stl", meshes::small()).await;
+}
+
+#[tokio::test]
 async fn of_equal_requests_at_the_same_time_one_makes_the_job() {
     let service = Service::start(&[]);
     let posts = (0..16).map(|_| post(&service, "busy", "", meshes::large()));

@@ -70,6 +70,12 @@ parameters! {
         text(),
         json!("wait=10"),
     )];
+    IfMatchHeader => vec![header(
+        "If-Match",
+        "The status' `ETag`s for which to do it: 412 when the job's is another",
+        text(),
+        json!(ETAG),
+    )];
     IfNoneMatchHeader => vec![if_none_match()];
     /// Conditions and ranges of a result.
     ConditionHeaders => vec![

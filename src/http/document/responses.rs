@@ -66,6 +66,9 @@ responses! {
     Healthy => [("200", ResponseBuilder::new()
         .description("All is well")
         .content(JSON, content("Health", Some(examples::health()))))];
+    LimitsAnswer => [("200", ResponseBuilder::new()
+        .description("The limits in force")
+        .content(JSON, content("Limits", None)))];
     Document => [
         ("200", ResponseBuilder::new()
             .description("The OpenAPI document")

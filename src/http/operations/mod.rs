@@ -2,6 +2,7 @@
 
 pub mod delete;
 pub mod health;
+pub mod limits;
 pub mod list;
 pub mod openapi;
 pub mod result;

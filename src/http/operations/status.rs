@@ -58,7 +58,7 @@ pub async fn status(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<
 }
 
 /// The job's JSON and its entity tag.
-fn represent(job: &Job) -> (Vec<u8>, ETag) {
+pub(super) fn represent(job: &Job) -> (Vec<u8>, ETag) {
     // Strings and numbers always serialise.
     let body = serde_json::to_vec(&StatusDocument::from(job)).unwrap_or_default();
     let digest: String = Sha256::digest(&body).iter().map(|byte| format!("{byte:02x}")).collect();

@@ -4,7 +4,8 @@ use axum::http::header;
 
 use super::super::idempotency;
 use super::{
-    INTERNAL_ERROR, JOB_DISMISSED, JOB_NOT_FOUND, NOT_READY, Problem, RESULT_NOT_READY, STORAGE_FULL,
+    INTERNAL_ERROR, JOB_DISMISSED, JOB_NOT_FOUND, JOB_PURGED, NOT_READY, Problem, RESULT_NOT_READY,
+    STORAGE_FULL, STORAGE_UNAVAILABLE,
 };
 use crate::jobs::JobError;
 use crate::jobs::blob::BlobError;
@@ -12,6 +13,9 @@ use crate::jobs::store::StoreError;
 
 /// Seconds after which a client should come back to a service that is restarting.
 const RETRY_AFTER_RESTART: u32 = 10;
+
+/// Seconds after which to try a storage again that could not be used.
+const RETRY_AFTER_STORAGE: u32 = 5;
 
 impl From<JobError> for Problem {
     fn from(error: JobError) -> Self {
@@ -32,6 +36,12 @@ impl From<JobError> for Problem {
                 &STORAGE_FULL,
                 "the service's disk is full; try again when its operator has made room",
             ),
+            JobError::Purging { id } => {
+                Problem::new(&JOB_PURGED, "the job is being purged and has no result; post the mesh again")
+                    .about(id)
+            }
+            JobError::Store(StoreError::Unavailable(_))
+            | JobError::Blob(BlobError::Storage(_) | BlobError::Folder(_)) => unavailable(&error),
             JobError::Store(StoreError::KeyTaken) => idempotency::in_flight(),
             error => internal(&error),
         }
@@ -41,6 +51,13 @@ impl From<JobError> for Problem {
 /// Also for ids that cannot be one: whether an id is well formed is the service's own affair.
 pub fn job_not_found() -> Problem {
     Problem::new(&JOB_NOT_FOUND, "no job has this id; it may have been deleted")
+}
+
+/// Logs the cause: the disk is away, read-only or broken, and may be well again soon.
+fn unavailable(error: &JobError) -> Problem {
+    tracing::error!(%error, "the storage cannot be used");
+    let detail = "the service cannot use its storage now; try again later, its log has the cause";
+    Problem::new(&STORAGE_UNAVAILABLE, detail).header(header::RETRY_AFTER, RETRY_AFTER_STORAGE)
 }
 
 /// Logs the cause, which may name folders of the server, and tells the client only that there was one.

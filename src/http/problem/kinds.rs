@@ -28,12 +28,16 @@ kinds! {
     JOB_NOT_FOUND = NOT_FOUND, "job-not-found", "There is no such job";
     RESULT_NOT_READY = NOT_FOUND, "result-not-ready", "The job has no result yet";
     JOB_DISMISSED = NOT_FOUND, "job-dismissed", "The job was cancelled and has no result";
+    JOB_PURGED = GONE, "job-purged", "The job was purged";
     METHOD_NOT_ALLOWED = METHOD_NOT_ALLOWED, "method-not-allowed", "The method does not apply to this path";
     NOT_ACCEPTABLE = NOT_ACCEPTABLE, "not-acceptable", "The result has no form that the client accepts";
     UPLOAD_TIMEOUT = REQUEST_TIMEOUT, "upload-timeout", "The upload stood still for too long";
     UPLOAD_TOO_LARGE = PAYLOAD_TOO_LARGE, "upload-too-large", "The upload is larger than the limit";
     UNSUPPORTED_MEDIA_TYPE = UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type",
         "The content type is not one that jobs are made from";
+    UNSUPPORTED_CODING = UNSUPPORTED_MEDIA_TYPE, "unsupported-coding", "The body came compressed";
+    PRECONDITION_FAILED = PRECONDITION_FAILED, "precondition-failed",
+        "The job is not in the state that the request is for";
     RANGE_NOT_SATISFIABLE = RANGE_NOT_SATISFIABLE, "range-not-satisfiable",
         "The range lies outside of the result";
     // Meshes, in the words of the readers' errors.
@@ -52,5 +56,7 @@ kinds! {
     // The service.
     INTERNAL_ERROR = INTERNAL_SERVER_ERROR, "internal-error", "The service failed";
     NOT_READY = SERVICE_UNAVAILABLE, "not-ready", "The service is not ready for work";
+    STORAGE_UNAVAILABLE = SERVICE_UNAVAILABLE, "storage-unavailable",
+        "The service cannot use its storage";
     STORAGE_FULL = INSUFFICIENT_STORAGE, "storage-full", "The service's disk is full";
 }

@@ -40,6 +40,13 @@ impl LocalBlobs {
     }
 }
 
+impl LocalBlobs {
+    /// Tells a blob that is gone from a folder that is: of a disk that was taken away nothing is known.
+    fn is_there(&self) -> Result<(), BlobError> {
+        if self.root.is_dir() { Ok(()) } else { Err(BlobError::Folder(io::ErrorKind::NotFound.into())) }
+    }
+}
+
 /// Removes object_store's staging files and folders that are empty; the number of files removed.
 fn remove_staged(folder: &Path) -> io::Result<usize> {
     let mut removed = 0;
@@ -156,17 +163,20 @@ impl BlobStore for LocalBlobs {
     fn delete<'a>(&'a self, key: &'a str) -> BlobFuture<'a, ()> {
         async move {
             match self.files.delete(&Key::from(key)).await {
-                Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+                Ok(()) => Ok(()),
+                Err(object_store::Error::NotFound { .. }) => self.is_there(),
                 Err(error) => Err(classified(key, error)),
             }
         }
         .boxed()
     }
 
-    fn list(&self) -> BlobFuture<'_, Vec<String>> {
+    fn list<'a>(&'a self, folder: &'a str) -> BlobFuture<'a, Vec<String>> {
         async move {
-            let objects: Vec<_> =
-                self.files.list(None).try_collect().await.map_err(|error| classified("", error))?;
+            self.is_there()?;
+            let prefix = Key::from(folder);
+            let listed = self.files.list(if folder.is_empty() { None } else { Some(&prefix) });
+            let objects: Vec<_> = listed.try_collect().await.map_err(|error| classified("", error))?;
             Ok(objects.into_iter().map(|object| object.location.to_string()).collect())
         }
         .boxed()

@@ -69,11 +69,11 @@ pub trait BlobStore: Send + Sync + 'static {
     /// A whole blob in memory.
     fn read<'a>(&'a self, key: &'a str) -> BlobFuture<'a, Bytes>;
 
-    /// Removes a blob; one that is not there is no error.
+    /// Removes a blob; one that is not there is no error, a store that is not there is.
     fn delete<'a>(&'a self, key: &'a str) -> BlobFuture<'a, ()>;
 
-    /// The keys of every blob.
-    fn list(&self) -> BlobFuture<'_, Vec<String>>;
+    /// The keys of every blob under `folder`; the empty one holds them all.
+    fn list<'a>(&'a self, folder: &'a str) -> BlobFuture<'a, Vec<String>>;
 
     /// Fails unless a blob can be written.
     fn check(&self) -> BlobFuture<'_, ()>;

@@ -53,9 +53,13 @@ async fn bytes_come_back_with_their_size_and_hash() {
         assert_eq!(info, BlobInfo { size: bytes.len() as u64, sha256: hex(&bytes) });
         assert_eq!(store.read(key).await.unwrap(), bytes);
     }
-    let mut keys = store.list().await.unwrap();
+    let mut keys = store.list("").await.unwrap();
     keys.sort();
     assert_eq!(keys, ["a/input", "b/c/one", "b/empty"]);
+    let mut keys_of_b = store.list("b").await.unwrap();
+    keys_of_b.sort();
+    assert_eq!(keys_of_b, ["b/c/one", "b/empty"]);
+    assert!(store.list("c").await.unwrap().is_empty());
     let part = store.open("a/input", Some(1_000_000..2_500_001)).await.unwrap();
     assert_eq!((part.size, part.range), (3_500_000, 1_000_000..2_500_001));
     let part: Vec<Bytes> = part.stream.try_collect().await.unwrap();
@@ -67,7 +71,7 @@ async fn bytes_come_back_with_their_size_and_hash() {
         assert!(matches!(store.open(key, None).await, Err(BlobError::NotFound { .. })));
     }
     store.put("again/input", body(vec![vec![1]]), 1).await.unwrap();
-    assert_eq!(store.list().await.unwrap(), ["again/input"], "the folder outlives its last blob");
+    assert_eq!(store.list("").await.unwrap(), ["again/input"], "the folder outlives its last blob");
 }
 
 #[tokio::test]
@@ -98,7 +102,7 @@ async fn a_body_that_breaks_off_or_is_dropped_leaves_nothing() {
         tokio::time::timeout(Duration::from_millis(200), store.put("stalled/input", stalled, u64::MAX));
     assert!(dropped.await.is_err());
     assert!(no_files(dir.path()).await);
-    assert!(store.list().await.unwrap().is_empty());
+    assert!(store.list("").await.unwrap().is_empty());
 }
 
 #[tokio::test]
@@ -109,7 +113,7 @@ async fn a_blob_is_not_seen_before_it_is_whole_and_half_ones_go_at_the_next_star
     let stalled = stream::iter([Ok(Bytes::from(vec![0; 2_000_000]))]).chain(stream::pending()).boxed();
     let mut put = store.put("half/input", stalled, u64::MAX);
     assert!(tokio::time::timeout(Duration::from_millis(200), &mut put).await.is_err());
-    assert_eq!(store.list().await.unwrap(), ["kept/input"]);
+    assert_eq!(store.list("").await.unwrap(), ["kept/input"]);
     assert!(matches!(store.read("half/input").await, Err(BlobError::NotFound { .. })));
     assert_eq!(files(dir.path()).len(), 2, "the staging file is there");
     // As after a kill: a second start while the first put's file is still on disk.
@@ -127,6 +131,11 @@ async fn a_check_fails_when_the_folder_is_gone() {
     assert!(files(dir.path()).is_empty(), "a check leaves no trace");
     fs::remove_dir_all(dir.path()).unwrap();
     assert!(matches!(store.check().await, Err(BlobError::Folder(_))));
+    assert!(
+        matches!(store.delete("a/input").await, Err(BlobError::Folder(_))),
+        "nobody knows whether it is gone"
+    );
+    assert!(matches!(store.list("").await, Err(BlobError::Folder(_))));
 }
 
 #[cfg(unix)]

@@ -1,5 +1,6 @@
 //! The job store: one table, opened by URL.
 
+mod connection;
 mod row;
 mod sql;
 #[cfg(test)]
@@ -19,8 +20,10 @@ pub use sql::SqlStore;
 pub enum StoreError {
     #[error("the job database is full: {0}; free space on the data folder's disk")]
     Full(sqlx::Error),
+    #[error("the job database cannot be used now: {0}; see to the data folder's disk and its rights")]
+    Unavailable(sqlx::Error),
     #[error("the job database failed: {0}")]
-    Database(#[from] sqlx::Error),
+    Database(sqlx::Error),
     #[error(
         "the job database cannot be brought to this version's form: {0}; was it written by a newer version?"
     )]
@@ -125,6 +128,13 @@ pub trait JobStore: Send + Sync + 'static {
 
     /// accepted or running → dismissed. `false`: it was neither.
     fn dismiss(&self, id: JobId, now: i64) -> StoreFuture<'_, bool>;
+
+    /// Notes that the files of a job that has ended are about to be removed, and its row after them. `false`:
+    /// there is no such job, or it is active.
+    fn begin_purge(&self, id: JobId, now: i64) -> StoreFuture<'_, bool>;
+
+    /// The jobs whose purge was begun and not ended.
+    fn purging(&self) -> StoreFuture<'_, Vec<JobId>>;
 
     /// Removes the row of a job that has ended. `false`: there is none, or it is active.
     fn delete(&self, id: JobId) -> StoreFuture<'_, bool>;

@@ -95,6 +95,7 @@ pub(super) fn job(row: &AnyRow) -> Result<Job, StoreError> {
         artifacts: columns.json("artifacts", &columns.text("artifacts")?)?,
         attempts: columns.number("attempts")?,
         lease: columns.optional_text("lease")?.map(Lease::from_stored),
+        purging: column(row, "purging")?,
     })
 }
 

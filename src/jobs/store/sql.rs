@@ -3,20 +3,18 @@
 //! Statements keep to what SQLite and PostgreSQL share: `$N` binds, `RETURNING`, no upserts.
 
 use std::collections::HashSet;
-use std::time::Duration;
 
 use futures::future::BoxFuture;
 use futures::{FutureExt, TryStreamExt};
-use sqlx::any::{AnyArguments, AnyPoolOptions};
+use sqlx::any::AnyArguments;
 use sqlx::query::Query;
 use sqlx::{Any, AnyPool, AssertSqlSafe, Row};
 
+use super::connection::sqlite_pool;
 use super::row::{bigint, id, job, json, page};
 use super::{JobStore, ListQuery, Page, Recovered, StoreError, StoreFuture, turns};
 use crate::jobs::{Counts, Job, JobFailure, JobId, JobStatus, Lease, StoredArtifact};
 
-/// How long a statement waits for another process that holds SQLite's lock (a backup, say).
-const BUSY: Duration = Duration::from_secs(10);
 const READERS: u32 = 4;
 
 /// Jobs in an SQL table.
@@ -53,7 +51,7 @@ impl SqlStore {
 
     /// Runs a change; the number of rows changed.
     async fn change(&self, statement: Statement<'_>) -> Result<u64, StoreError> {
-        Ok(statement.execute(&self.writer).await.map_err(classified)?.rows_affected())
+        Ok(statement.execute(&self.writer).await?.rows_affected())
     }
 
     /// Runs a change of one job that is in the right state; whether it was.
@@ -68,33 +66,6 @@ impl SqlStore {
         let failure = json(&JobFailure::unreadable_row())?;
         self.change(sqlx::query(sql).bind(failure).bind(now).bind(lease.as_str())).await
     }
-}
-
-/// WAL lets readers work beside the writer; FULL makes a commit survive a power cut.
-fn sqlite_pool(connections: u32) -> AnyPoolOptions {
-    AnyPoolOptions::new()
-        .min_connections(connections)
-        .max_connections(connections)
-        .idle_timeout(None)
-        .max_lifetime(None)
-        .after_connect(|connection, _| {
-            Box::pin(async move {
-                // A purged row may have held a patient's name: its bytes are overwritten.
-                let pragmas = format!(
-                    "PRAGMA busy_timeout = {}; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; \
-                     PRAGMA secure_delete = ON;",
-                    BUSY.as_millis()
-                );
-                sqlx::raw_sql(AssertSqlSafe(pragmas)).execute(connection).await?;
-                Ok(())
-            })
-        })
-}
-
-/// Tells a full disk (SQLITE_FULL, 13) from other failures.
-fn classified(error: sqlx::Error) -> StoreError {
-    let full = error.as_database_error().and_then(|inner| inner.code()).is_some_and(|code| code == "13");
-    if full { StoreError::Full(error) } else { StoreError::Database(error) }
 }
 
 fn is_repeated(error: &sqlx::Error) -> bool {
@@ -187,7 +158,7 @@ impl JobStore for SqlStore {
         async move {
             let query = sqlx::query(turns::CLAIM).bind(lease.as_str()).bind(now);
             // All rows, so that the statement is stepped to its end and commits.
-            let rows = query.fetch_all(&self.writer).await.map_err(classified)?;
+            let rows = query.fetch_all(&self.writer).await?;
             let claimed = rows.first().map(job).transpose();
             if let Err(StoreError::Corrupt { .. }) = &claimed {
                 self.fail_unreadable(lease, now).await?;
@@ -271,6 +242,20 @@ impl JobStore for SqlStore {
         self.fenced(sqlx::query(sql).bind(id.to_string()).bind(now)).boxed()
     }
 
+    fn begin_purge(&self, id: JobId, now: i64) -> StoreFuture<'_, bool> {
+        let sql = "UPDATE jobs SET purging = COALESCE(purging, $2) \
+                   WHERE id = $1 AND status NOT IN ('accepted', 'running')";
+        self.fenced(sqlx::query(sql).bind(id.to_string()).bind(now)).boxed()
+    }
+
+    fn purging(&self) -> StoreFuture<'_, Vec<JobId>> {
+        async move {
+            let query = sqlx::query("SELECT id FROM jobs WHERE purging IS NOT NULL");
+            Ok(query.fetch_all(&self.readers).await?.iter().filter_map(|row| id(row).ok()).collect())
+        }
+        .boxed()
+    }
+
     fn delete(&self, id: JobId) -> StoreFuture<'_, bool> {
         let sql = "DELETE FROM jobs WHERE id = $1 AND status NOT IN ('accepted', 'running')";
         self.fenced(sqlx::query(sql).bind(id.to_string())).boxed()
@@ -282,11 +267,11 @@ impl JobStore for SqlStore {
             let give_up = sqlx::query(turns::GIVE_UP).bind(failure).bind(now).bind(i64::from(max_crashes));
             // All or nothing: a start that dies here must not count a crash twice.
             let mut transaction = self.writer.begin().await?;
-            sqlx::query(turns::COUNT).execute(&mut *transaction).await.map_err(classified)?;
-            let failed = give_up.execute(&mut *transaction).await.map_err(classified)?.rows_affected();
+            sqlx::query(turns::COUNT).execute(&mut *transaction).await?;
+            let failed = give_up.execute(&mut *transaction).await?.rows_affected();
             let put_back = sqlx::query(turns::PUT_BACK).bind(now);
-            let requeued = put_back.execute(&mut *transaction).await.map_err(classified)?.rows_affected();
-            transaction.commit().await.map_err(classified)?;
+            let requeued = put_back.execute(&mut *transaction).await?.rows_affected();
+            transaction.commit().await?;
             Ok(Recovered { requeued, failed })
         }
         .boxed()

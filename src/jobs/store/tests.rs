@@ -1,5 +1,7 @@
 //! What every job store must do, tried on SQLite.
 
+mod forms;
+
 use std::collections::HashSet;
 use std::sync::Arc;
 
@@ -334,47 +336,4 @@ async fn an_idempotency_key_belongs_to_one_job_as_long_as_that_is_kept() {
     fixture.store.delete(first.id).await.unwrap();
     assert_eq!(fixture.store.by_key("a").await.unwrap(), None);
     insert("a").await.unwrap();
-}
-
-#[tokio::test]
-async fn a_database_of_the_first_form_is_brought_to_this_one() {
-    use sqlx::migrate::Migrator;
-    let fixture = Fixture::new().await;
-    let all = sqlx::migrate!("src/jobs/store/migrations");
-    let first = Migrator { migrations: all.migrations[..1].to_vec().into(), ..Migrator::DEFAULT };
-    let old = tempfile::tempdir().unwrap();
-    let mut connection = sqlx::AnyConnection::connect(&url(&old)).await.unwrap();
-    first.run(&mut connection).await.unwrap();
-    let id = fixture.ids.next().to_string();
-    let sql = "INSERT INTO jobs (id, status, progress, created, updated, input_key, input_size, input_sha256, units, \
-               parameters, artifacts, attempts) VALUES ($1, 'accepted', 0, 1, 1, 'k', 2, 'ab', 'mm', \
-               '{\"preset\":\"default\",\"values\":{}}', '[]', 0)";
-    sqlx::query(sql).bind(&id).execute(&mut connection).await.unwrap();
-    connection.close().await.unwrap();
-    let store = SqlStore::open(&url(&old)).await.unwrap();
-    let job = store.get(id.parse().unwrap()).await.unwrap().unwrap();
-    assert_eq!((job.spec.origin, job.spec.idempotency, job.input.size), (Origin::default(), None, 2));
-    assert_eq!(store.claim(&Lease::new(), 5).await.unwrap().map(|job| job.id.to_string()), Some(id));
-}
-
-#[tokio::test]
-async fn other_databases_and_newer_ones_are_refused() {
-    let error = SqlStore::open("mysql://localhost/x").await.err().unwrap();
-    assert!(matches!(error, StoreError::Scheme { .. }), "{error}");
-    let fixture = Fixture::new().await;
-    let sql = "INSERT INTO _sqlx_migrations VALUES (9999, 'later', '2030-01-01', TRUE, x'00', 0) RETURNING description";
-    assert_eq!(fixture.ask(sql).await, "later");
-    let error = SqlStore::open(&url(&fixture.dir)).await.err().unwrap();
-    assert!(
-        matches!(error, StoreError::Migrate(_)) && error.to_string().contains("newer version"),
-        "{error}"
-    );
-}
-
-#[tokio::test]
-async fn a_check_fails_when_the_database_is_locked_away() {
-    let fixture = Fixture::new().await;
-    fixture.store.check().await.unwrap();
-    fixture.store.close().await;
-    assert!(fixture.store.check().await.is_err());
 }

@@ -101,12 +101,25 @@ pub struct Limits {
     pub triangles: usize,
     /// Bytes that compressed or base64 data may unpack to.
     pub decoded_bytes: usize,
+    /// How many times the file's bytes its compressed data may unpack to, where that is more than
+    /// [`Limits::EXPANSION_FREE`]: coordinates and indices of real surfaces pack into a tenth at best.
+    pub expansion: usize,
+}
+
+impl Limits {
+    /// Bytes that any small file's data may unpack to.
+    pub const EXPANSION_FREE: usize = 16 << 20;
+
+    /// Bytes that the compressed data of a file of `length` bytes may unpack to.
+    fn decoded_of(&self, length: usize) -> usize {
+        self.decoded_bytes.min(length.saturating_mul(self.expansion).max(Self::EXPANSION_FREE))
+    }
 }
 
 impl Default for Limits {
-    /// 20 million vertices, 40 million triangles, 4 GiB decoded.
+    /// 20 million vertices, 40 million triangles, 2 GiB decoded, 50 times the file.
     fn default() -> Self {
-        Limits { vertices: 20_000_000, triangles: 40_000_000, decoded_bytes: 4 << 30 }
+        Limits { vertices: 20_000_000, triangles: 40_000_000, decoded_bytes: 2 << 30, expansion: 50 }
     }
 }
 

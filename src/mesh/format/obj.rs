@@ -236,7 +236,7 @@ mod tests {
     use super::*;
     use crate::mesh::format::{Hint, read};
 
-    const LIMITS: Limits = Limits { vertices: 100, triangles: 100, decoded_bytes: 1000 };
+    const LIMITS: Limits = Limits { vertices: 100, triangles: 100, decoded_bytes: 1000, expansion: 1 };
 
     fn obj(text: &[u8]) -> Result<TriangleMesh, ReadError> {
         let (mesh, format) = read(text, Hint::default(), &LIMITS)?;

@@ -88,7 +88,7 @@ mod tests {
     use super::*;
     use crate::mesh::format::{Hint, read};
 
-    const LIMITS: Limits = Limits { vertices: 100, triangles: 100, decoded_bytes: 1000 };
+    const LIMITS: Limits = Limits { vertices: 100, triangles: 100, decoded_bytes: 1000, expansion: 1 };
 
     fn off(text: &str) -> Result<TriangleMesh, ReadError> {
         let hint = Hint { extension: Some(".OFF"), content_type: None };

@@ -140,7 +140,7 @@ mod tests {
     use super::*;
     use crate::mesh::format::{Hint, ReadErrorKind, read};
 
-    const LIMITS: Limits = Limits { vertices: 100, triangles: 100, decoded_bytes: 1000 };
+    const LIMITS: Limits = Limits { vertices: 100, triangles: 100, decoded_bytes: 1000, expansion: 1 };
 
     fn ascii(text: &str) -> Result<TriangleMesh, ReadError> {
         let (mesh, format) = read(text.as_bytes(), Hint::default(), &LIMITS)?;

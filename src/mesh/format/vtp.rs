@@ -53,7 +53,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<TriangleMesh, ReadEr
         compression: file.compression,
         appended,
         unpacked: Cell::new(0),
-        limit: limits.decoded_bytes,
+        limit: limits.decoded_of(bytes.len()),
     };
     let mut surface = Surface::new(FORMAT, limits);
     for piece in &file.pieces {

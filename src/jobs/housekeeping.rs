@@ -1,0 +1,31 @@
+//! What is done again and again beside the jobs: room is kept for a full disk, begun purges are ended.
+
+use std::sync::Arc;
+
+use super::recovery::finish_purges;
+use super::worker::{Phase, Shared};
+
+/// Keeps house until the service drains.
+pub(super) async fn keep(shared: Arc<Shared>) {
+    let mut phase = shared.phase.subscribe();
+    loop {
+        tokio::select! {
+            () = tokio::time::sleep(shared.settings.housekeeping) => {}
+            // The sender lives in `shared`, so the wait does not fail.
+            _ = phase.wait_for(|phase| *phase != Phase::Open) => return,
+        }
+        keep_reserve(&shared).await;
+        if let Err(error) = finish_purges(shared.store.as_ref(), shared.blobs.as_ref()).await {
+            tracing::warn!(%error, "purges that were begun cannot be looked up");
+        }
+    }
+}
+
+/// Keeps room for changes that free space on a full disk.
+pub(super) async fn keep_reserve(shared: &Arc<Shared>) {
+    let owned = shared.clone();
+    let kept = tokio::task::spawn_blocking(move || owned.folder.as_ref().map(|folder| folder.keep_reserve()));
+    if let Err(error) = kept.await {
+        tracing::warn!(%error, "no room is kept for a full disk");
+    }
+}
