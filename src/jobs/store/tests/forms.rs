@@ -23,11 +23,9 @@ async fn a_database_of_every_released_form_is_brought_to_this_one() {
         connection.close().await.unwrap();
         let store = SqlStore::open(&url(&old)).await.unwrap();
         let job = store.get(id.parse().unwrap()).await.unwrap().unwrap();
-        assert_eq!(
-            (&job.spec, job.input.size, job.purging),
-            (&JobSpec::default(), 2, None),
-            "form {released}"
-        );
+        let spec = &job.spec;
+        assert_eq!((&spec.origin, &spec.idempotency), (&Origin::default(), &None), "form {released}");
+        assert_eq!((job.input.size, job.purging), (2, None));
         let claimed = store.claim(&Lease::new(), 5).await.unwrap().unwrap();
         assert_eq!(claimed.id.to_string(), id);
         assert!(store.dismiss(job.id, 6).await.unwrap() && store.begin_purge(job.id, 7).await.unwrap());
