@@ -135,6 +135,11 @@ impl<'a> Control<'a> {
         Control { cancel: self.cancel.clone(), progress: self.progress, part }
     }
 
+    /// The same caller, told of nothing: for work that another stage tells of.
+    pub(super) fn quiet(&self) -> Control<'a> {
+        Control { cancel: self.cancel.clone(), progress: None, part: self.part }
+    }
+
     /// Reports `fraction` of `stage` and fails once cancelled.
     pub fn report(&self, stage: Stage, fraction: f64) -> Result<(), ExtractError> {
         if let Some(progress) = self.progress {

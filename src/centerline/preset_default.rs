@@ -24,7 +24,7 @@ use crate::centerline::segmentation::level_sets::LevelSet;
 use crate::centerline::segmentation::track::{Sight, Track, rings, stations_of};
 use crate::centerline::tips::geodesic::{EdgeGraph, geodesic};
 use crate::centerline::tips::reeb::{ReebGraph, reeb_graph};
-use crate::centerline::tips::root::roots;
+use crate::centerline::tips::root::{Among, roots};
 use crate::centerline::tips::{Branching, Chain, chains, farthest};
 use crate::centerline::{Control, ExtractError, Parameters, Stage};
 
@@ -41,7 +41,7 @@ pub fn extract_component(
     control: &Control<'_>,
 ) -> Result<ComponentGraph, ExtractError> {
     control.report(Stage::Tips, 0.0)?;
-    let (graph, chains) = segment(surface, parameters.tip_height(), control)?;
+    let (graph, chains) = segment(surface, parameters.tip_height(), Among::AllEnds, control)?;
     let mut network = Network::new(&graph, &chains);
     control.report(Stage::CutPlanes, 0.0)?;
     let owners = owners(surface, &graph, &chains);
@@ -69,10 +69,11 @@ pub fn extract_component(
 }
 
 /// The Reeb graph of the geodesic distance from the widest end's cap, and its chains. Where several ends
-/// might be that, the one from which most ends are seen.
+/// might be that, the one from which most ends are seen; `among` says which ends are looked at.
 pub(in crate::centerline) fn segment(
     surface: &Surface,
     tip_height: f64,
+    among: Among,
     control: &Control<'_>,
 ) -> Result<(ReebGraph, Vec<Chain>), ExtractError> {
     let cancel = &control.cancel;
@@ -87,7 +88,7 @@ pub(in crate::centerline) fn segment(
     let first = chains(surface, &graph, tip_height, cancel)?;
     control.report(Stage::Segmentation, 0.0)?;
     let mut best = None;
-    for root in roots(surface, &graph, &first) {
+    for root in roots(surface, &graph, &first, among) {
         let mut edges = edges.clone();
         edges.shrink(&root.cap);
         let distance = geodesic(&edges, &[root.vertex], cancel)?;

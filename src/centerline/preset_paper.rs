@@ -1,6 +1,6 @@
 //! The preset `paper`: each stage as printed, with the corrections that docs/method.md lists.
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Rotation3, Vector3};
 use rayon::prelude::*;
 
 use crate::mesh::normals::vertex_normals;
@@ -21,6 +21,7 @@ use crate::centerline::thinning::point_cloud::PointCloud;
 use crate::centerline::thinning::{Thinning, thin};
 use crate::centerline::tips::critical_points::{self, Tip, vertex_areas};
 use crate::centerline::tips::geodesic::EdgeGraph;
+use crate::centerline::tips::root::Among;
 use crate::centerline::tips::xie_beni::best_count;
 use crate::centerline::{ExtractError, Parameters, laplacian_smoothing};
 
@@ -45,14 +46,30 @@ pub fn extract_component(
     control: &Control<'_>,
 ) -> Result<ComponentGraph, ExtractError> {
     control.report(Stage::Tips, 0.0)?;
+    let frame = Frame::of(&surface.mesh.vertices);
+    let mut result = extract_in_frame(&frame.seen(surface), diagonal, parameters, control)?;
+    let back = |point: &mut Point3<f64>| *point = frame.back(point);
+    result.nodes.iter_mut().for_each(|node| back(&mut node.position));
+    result.branches.iter_mut().flat_map(|branch| &mut branch.points).for_each(back);
+    Ok(result)
+}
+
+/// The centerline of a component in its own frame.
+fn extract_in_frame(
+    surface: &Surface,
+    diagonal: f64,
+    parameters: &Parameters,
+    control: &Control<'_>,
+) -> Result<ComponentGraph, ExtractError> {
     let positions = &surface.mesh.vertices;
     let graph = EdgeGraph::new(positions, &surface.corners);
     let (_, distances) = critical_points::root(&graph, &control.cancel)?;
     let areas = vertex_areas(positions, &surface.mesh.triangles);
     let tips = critical_points::tips(&graph, &distances, &areas, parameters.tip_height());
-    let seeds = seeds(&graph, &tips, parameters, control)?;
-    let (reeb, chains) = skeleton(surface, parameters.tip_height(), control)?;
-    let (seeds, fields) = seeds;
+    let (seeds, fields) = seeds(&graph, &tips, parameters, control)?;
+    control.report(Stage::Tips, 0.5)?;
+    // The way to the Reeb graph is part of this stage here.
+    let (reeb, chains) = skeleton(surface, parameters.tip_height(), Among::LongEnds, &control.quiet())?;
     let segments = segment(positions, &graph, &seeds, fields, (parameters.m(), parameters.mu()), control)?;
 
     let normals = vertex_normals(&surface.mesh);
@@ -73,6 +90,47 @@ pub fn extract_component(
     )?;
     refuse_blob(surface, &result)?;
     Ok(result)
+}
+
+/// A component's own frame: cells of points lie in it, so that a vessel that lies otherwise falls into the same ones.
+struct Frame {
+    origin: Point3<f64>,
+    axes: Rotation3<f64>,
+}
+
+impl Frame {
+    /// From the mean of the vertices to the first (see [`crate::mesh::preparation`]: the outermost), and from that
+    /// axis to the vertex farthest from it.
+    fn of(positions: &[Point3<f64>]) -> Self {
+        let Some(&first) = positions.first() else {
+            return Self { origin: Point3::origin(), axes: Rotation3::identity() };
+        };
+        let sum: Vector3<f64> = positions.iter().map(|point| point - first).sum();
+        let origin = first + sum / positions.len() as f64;
+        let along = (first - origin).try_normalize(0.0).unwrap_or_else(Vector3::z);
+        let across = |point: &Point3<f64>| (point - origin) - along * (point - origin).dot(&along);
+        let farthest = |best: Vector3<f64>, point: &Point3<f64>| {
+            let offset = across(point);
+            if offset.norm_squared() > best.norm_squared() { offset } else { best }
+        };
+        let side = positions.iter().fold(Vector3::zeros(), farthest);
+        Self { origin, axes: Rotation3::face_towards(&along, &side) }
+    }
+
+    /// The surface in this frame.
+    fn seen(&self, surface: &Surface) -> Surface {
+        let mut own = surface.clone();
+        own.mesh
+            .vertices
+            .iter_mut()
+            .for_each(|p| *p = self.axes.inverse_transform_point(&Point3::from(*p - self.origin)));
+        own
+    }
+
+    /// A point of this frame in the input's.
+    fn back(&self, point: &Point3<f64>) -> Point3<f64> {
+        self.origin + self.axes * point.coords
+    }
 }
 
 /// Tips as the clustering's first centres, as many as the validity index wants, with the distances from them (IV.A).
@@ -191,8 +249,6 @@ impl Wall {
 #[cfg(test)]
 mod tests {
     use std::time::{Duration, Instant};
-
-    use nalgebra::Vector3;
 
     use super::*;
     use crate::centerline::shapes::torus;

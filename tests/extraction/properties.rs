@@ -85,7 +85,6 @@ fn progress_ends_at_one() {
 }
 
 #[test]
-#[ignore = "the preset paper tells segmentation at 0.4 while it builds the Reeb graph, then again from 0"]
 fn progress_of_the_paper_never_falls_and_ends_at_one() {
     assert_eq!(told(Preset::Paper).last(), Some(&(Stage::Connection, 1.0)));
 }

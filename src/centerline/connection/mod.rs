@@ -86,7 +86,7 @@ impl Connection<'_> {
             control.cancel.check()?;
             let incident = network.incident(node);
             if incident.len() > 1 && !network.is_ring(node) {
-                network.nodes[node].anchor = meet(&mut network, &incident, &centre);
+                network.nodes[node].anchor = meet(&mut network, &incident, &centre, &radius);
             }
         }
         for node in 0..network.nodes.len() {

@@ -24,6 +24,12 @@ const JOINT_REACH: f64 = 1.5;
 /// Nearer than this (local radii) to a joint, a sample that turns off by more than this (cosine) is of the joint.
 const STRAY_REACH: f64 = 4.0;
 const STRAY_COSINE: f64 = 0.8;
+/// Nearer than this (local radii, along the branch) to its last sample, a sample whose largest sphere is smaller
+/// than this share of those before it is off the middle: a lumen only widens into a joint.
+const OFF_CENTRE_REACH: f64 = 8.0;
+const OFF_CENTRE: f64 = 0.75;
+/// How many samples before it a sphere is measured against.
+const SPHERES: usize = 6;
 
 /// The points that collapse into joint centres, with the normal lines of their cut planes.
 pub struct Joints<'a> {
@@ -61,12 +67,18 @@ impl<'a> Joints<'a> {
 }
 
 /// The centre of a joint, `None` where no branch has a sample; takes the samples that are nearer to it than the branches' radii off the branches.
+///
+/// `sphere` is the distance of a point from the wall, given one that is expected.
 pub fn meet(
     network: &mut Network,
     incident: &[(usize, bool)],
     centre: &impl Fn(&Point3<f64>, f64) -> Option<Point3<f64>>,
+    sphere: &impl Fn(&Point3<f64>, f64) -> f64,
 ) -> Option<Anchor> {
     let radius = network.joint_radius(incident);
+    for &(track, at_end) in incident {
+        network.oriented(track, at_end, |track| drop_off_centre(&mut track.stations, sphere));
+    }
     let mut expected = network.prior(incident)?;
     for _ in 0..2 {
         expected = crossing(network, incident).unwrap_or(expected);
@@ -75,6 +87,29 @@ pub fn meet(
     let point = centre(&expected, thinnest(network, incident)).unwrap_or(expected);
     clear(network, incident, &point);
     Some(Anchor { point, radius })
+}
+
+/// Takes the samples off the end of a branch from the first one on that is off the middle: planes that take in
+/// another vessel's wall, or are cut off by a segment's border, put their points there.
+fn drop_off_centre(stations: &mut Vec<Station>, sphere: &impl Fn(&Point3<f64>, f64) -> f64) {
+    let mut radii: Vec<f64> = stations.iter().map(|station| station.section_radius).collect();
+    radii.sort_by(f64::total_cmp);
+    let Some(usual) = radii.get(radii.len() / 2) else { return };
+    let (mut along, mut first) = (0.0, stations.len() - 1);
+    while first > stations.len() / 2 && along < OFF_CENTRE_REACH * usual {
+        along += (stations[first].point - stations[first - 1].point).norm();
+        first -= 1;
+    }
+    let from = first.saturating_sub(SPHERES);
+    let spheres: Vec<f64> = stations[from..].iter().map(|s| sphere(&s.point, s.section_radius)).collect();
+    let off = |i: &usize| {
+        let before = &mut spheres[i.saturating_sub(SPHERES)..*i].to_vec();
+        before.sort_by(f64::total_cmp);
+        before.get(before.len() / 2).is_some_and(|usual| spheres[*i] < OFF_CENTRE * usual)
+    };
+    if let Some(i) = (3.max(first - from)..spheres.len()).find(off) {
+        stations.truncate(from + i);
+    }
 }
 
 /// The least radius where the branches meet: a thin one leaves the line of a wide one alone but for its own width.

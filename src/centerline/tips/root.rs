@@ -20,6 +20,16 @@ pub struct Root {
     pub cap: Vec<bool>,
 }
 
+/// Which ends may be the root.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Among {
+    /// Short and removed ones too: what a front has passed aslant. Where that was no end but the place where two
+    /// fronts met, its cap takes in the wall for many radii and distances on it vanish.
+    AllEnds,
+    /// Only those longer than they are wide, as long as there is one: for who reads the distances themselves.
+    LongEnds,
+}
+
 /// An end of a chain, seen from the tip inward.
 struct End {
     vertex: u32,
@@ -32,7 +42,7 @@ struct End {
 
 /// The ends that distances may be taken from, the best first: wide and long ones before short ones, of
 /// those only what is nearly as wide as the widest of all. None when no chain has an end.
-pub fn roots(surface: &Surface, graph: &ReebGraph, branching: &Branching) -> Vec<Root> {
+pub fn roots(surface: &Surface, graph: &ReebGraph, branching: &Branching, among: Among) -> Vec<Root> {
     /// Least radius against the widest.
     const WIDE: f64 = 0.6;
     /// A long end is better than a short one up to so many times as wide: that may be a sac.
@@ -41,6 +51,9 @@ pub fn roots(surface: &Surface, graph: &ReebGraph, branching: &Branching) -> Vec
     const MOST: usize = 3;
     let mut ends = chain_ends(surface, graph, &branching.chains);
     ends.extend(branching.doubtful.iter().filter_map(|tip| doubtful_end(surface, graph, tip)));
+    if among == Among::LongEnds && ends.iter().any(|end| !end.short) {
+        ends.retain(|end| !end.short);
+    }
     let widest = ends.iter().map(|end| end.radius).fold(0.0, f64::max);
     let worth = |end: &End| if end.short { end.radius } else { LONG * end.radius };
     ends.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
