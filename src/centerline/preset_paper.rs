@@ -113,17 +113,19 @@ impl Frame {
             let offset = across(point);
             if offset.norm_squared() > best.norm_squared() { offset } else { best }
         };
-        let side = positions.iter().fold(Vector3::zeros(), farthest);
+        let mut side = positions.iter().fold(Vector3::zeros(), farthest);
+        if side.norm_squared() == 0.0 {
+            side = Vector3::ith(along.iamin(), 1.0);
+        }
         Self { origin, axes: Rotation3::face_towards(&along, &side) }
     }
 
     /// The surface in this frame.
     fn seen(&self, surface: &Surface) -> Surface {
         let mut own = surface.clone();
-        own.mesh
-            .vertices
-            .iter_mut()
-            .for_each(|p| *p = self.axes.inverse_transform_point(&Point3::from(*p - self.origin)));
+        for point in &mut own.mesh.vertices {
+            *point = Point3::from(self.axes.inverse_transform_vector(&(*point - self.origin)));
+        }
         own
     }
 
