@@ -18,7 +18,8 @@ const MAY_KNOW: [(&str, &[&str]); 8] = [
 ];
 
 /// Crates (and parts of std) with the only rooms that may name them.
-const ONLY_IN: [(&str, &[&str]); 19] = [
+const ONLY_IN: [(&str, &[&str]); 20] = [
+    ("zstd", &["jobs"]),
     ("axum", &["http"]),
     ("tower", &["http"]),
     ("tower_http", &["http"]),

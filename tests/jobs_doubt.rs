@@ -97,6 +97,10 @@ impl JobStore for Doubtful {
         self.inner.unclaim(lease, now)
     }
 
+    fn retry(&self, id: JobId, now: i64) -> StoreFuture<'_, bool> {
+        self.inner.retry(id, now)
+    }
+
     fn dismiss(&self, id: JobId, now: i64) -> StoreFuture<'_, bool> {
         self.inner.dismiss(id, now)
     }

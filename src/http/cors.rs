@@ -7,6 +7,7 @@ use tower_http::cors::{Any, CorsLayer};
 
 use super::digest::CONTENT_DIGEST;
 use super::idempotency::IDEMPOTENCY_KEY;
+use super::operations::events::LAST_EVENT_ID;
 use super::operations::submit::REQUEST_ID;
 use super::prefer::{PREFER, PREFERENCE_APPLIED};
 
@@ -14,9 +15,10 @@ use super::prefer::{PREFER, PREFERENCE_APPLIED};
 const PREFLIGHT_AGE: Duration = Duration::from_secs(2 * 60 * 60);
 
 /// The request headers that the API reads, beside those that Fetch always allows.
-pub const REQUEST_HEADERS: [HeaderName; 10] = [
+pub const REQUEST_HEADERS: [HeaderName; 11] = [
     header::ACCEPT,
     header::CONTENT_TYPE,
+    LAST_EVENT_ID,
     header::IF_MATCH,
     header::IF_NONE_MATCH,
     header::IF_RANGE,
@@ -28,9 +30,10 @@ pub const REQUEST_HEADERS: [HeaderName; 10] = [
 ];
 
 /// The response headers that a script may read, beside those that Fetch always exposes.
-pub const RESPONSE_HEADERS: [HeaderName; 10] = [
+pub const RESPONSE_HEADERS: [HeaderName; 11] = [
     header::ACCEPT_RANGES,
     header::ALLOW,
+    header::CONTENT_ENCODING,
     header::CONTENT_LENGTH,
     header::CONTENT_LOCATION,
     header::CONTENT_RANGE,

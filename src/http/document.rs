@@ -15,16 +15,16 @@ use crate::jobs::JobFailure;
 use crate::output::ResultDocument;
 
 pub use parameters::{
-    AcceptHeader, ChangeHeader, ConditionHeaders, IfMatchHeader, IfNoneMatchHeader, JobPath, ListParameters,
-    OriginHeaders, PreferHeader, SubmitQuery,
+    AcceptHeader, ChangeHeader, ConditionHeaders, IfMatchHeader, IfNoneMatchHeader, JobPath, LastEventHeader,
+    ListParameters, OriginHeaders, PreferHeader, SubmitQuery,
 };
 pub use problems::{
     DeleteProblems, JobProblems, ListProblems, NegotiatedProblems, ReadyProblems, ResultProblems,
-    SubmitProblems,
+    RetryProblems, SubmitProblems,
 };
 pub use responses::{
-    AnyResult, Created, Deleted, Document, GlbResult, GltfResult, Healthy, JsonResult, LimitsAnswer, List,
-    Status,
+    AnyResult, Created, Deleted, Document, Events, GlbResult, GltfResult, Healthy, JsonResult, LimitsAnswer,
+    List, Retried, Status,
 };
 
 // Tags.
@@ -40,7 +40,8 @@ pub const SERVICE: &str = "service";
     problem::Details,
     ResultDocument,
     super::operations::health::Health,
-    super::operations::limits::LimitsDocument
+    super::operations::limits::LimitsDocument,
+    super::inspection::Inspection
 )))]
 struct Schemas;
 
@@ -62,8 +63,8 @@ pub fn base() -> utoipa::openapi::OpenApi {
 /// The whole document.
 pub fn document() -> utoipa::openapi::OpenApi {
     let mut document = router::routes().into_openapi();
-    for item in document.paths.paths.values_mut() {
-        if let Some(post) = &mut item.post {
+    for (path, item) in &mut document.paths.paths {
+        if let (Some(post), "/v1/jobs") = (&mut item.post, path.as_str()) {
             post.request_body = Some(RefOr::T(body::mesh()));
         }
         add_head(item);

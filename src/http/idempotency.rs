@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, HeaderName, header};
 use sha2::{Digest, Sha256};
 
 use super::problem::{IDEMPOTENCY_IN_FLIGHT, IDEMPOTENCY_KEY_REUSED, INVALID_PARAMETER, Problem};
-use crate::jobs::{Idempotency, Job, JobSpec};
+use crate::jobs::{Idempotency, Job, JobSpec, Priority};
 
 pub const IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
 
@@ -50,7 +50,11 @@ impl Claim {
         let name = spec.name.as_ref().map(|name| name.expose());
         let told = (sha256, name, spec.units.name(), &spec.parameters, spec.origin.client_reference.as_ref());
         // Strings and numbers always serialise.
-        let text = serde_json::to_vec(&told).unwrap_or_default();
+        let mut text = serde_json::to_vec(&told).unwrap_or_default();
+        // Requests that say nothing of it keep the fingerprint that they had before there were priorities.
+        if spec.priority != Priority::default() {
+            text.extend_from_slice(spec.priority.name().as_bytes());
+        }
         let fingerprint = Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect();
         Idempotency { key: self.key.clone(), fingerprint }
     }

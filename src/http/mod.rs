@@ -4,12 +4,14 @@
 //! waiting from RFC 7240, conditions, ranges and negotiation from RFC 9110. The async threads never compute:
 //! meshes are checked on the threads of [`validation`], jobs run on the workers' pools.
 
+mod coding;
 mod connections;
 mod cors;
 mod digest;
 pub mod document;
 mod etag;
 mod idempotency;
+mod inspection;
 pub mod limits;
 mod lingering;
 mod negotiation;

@@ -10,7 +10,7 @@ use serde_json::error::Category;
 use super::limits::Limits;
 use super::problem::{INVALID_PARAMETER, MALFORMED_REQUEST, Problem, UNKNOWN_PARAMETER};
 use crate::centerline::{ParameterError, ParameterKind, Parameters, Preset, TABLE};
-use crate::jobs::FileName;
+use crate::jobs::{FileName, Priority};
 use crate::mesh::Units;
 
 /// Names that are no rows of the method's table.
@@ -18,7 +18,9 @@ pub const UNITS: &str = "units";
 pub const NAME: &str = "name";
 pub const PRESET: &str = "preset";
 pub const CLIENT_REFERENCE: &str = "client_reference";
-const OTHERS: [&str; 4] = [UNITS, NAME, PRESET, CLIENT_REFERENCE];
+pub const PRIORITY: &str = "priority";
+pub const DRY_RUN: &str = "dry_run";
+const OTHERS: [&str; 6] = [UNITS, NAME, PRESET, CLIENT_REFERENCE, PRIORITY, DRY_RUN];
 
 /// What a client asks of the job, beside the mesh.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,6 +30,9 @@ pub struct Asked {
     pub parameters: Parameters,
     /// The client's own word for the job, opaque.
     pub client_reference: Option<String>,
+    pub priority: Priority,
+    /// No job is to be made.
+    pub dry_run: bool,
 }
 
 impl Asked {
@@ -57,7 +62,13 @@ impl Asked {
         }
         let name = value(NAME).map(|name| source_name(name, limits)).transpose()?.flatten();
         let client_reference = value(CLIENT_REFERENCE).map(|text| reference(text, limits)).transpose()?;
-        Ok(Self { units, name, parameters, client_reference })
+        let priority = word(PRIORITY, value(PRIORITY))?;
+        let dry_run = match value(DRY_RUN) {
+            None | Some("false") => false,
+            Some("true") => true,
+            Some(_) => return Err(invalid(DRY_RUN, "dry_run is true or false".to_owned())),
+        };
+        Ok(Self { units, name, parameters, client_reference, priority, dry_run })
     }
 }
 
@@ -107,6 +118,8 @@ pub fn json_pairs(bytes: &[u8]) -> Result<Vec<(String, String)>, Problem> {
         let text = match (kind, value) {
             (Some(ParameterKind::Number { .. }), Value::Number(number)) => number.to_string(),
             (Some(ParameterKind::Flag), Value::Bool(flag)) => flag.to_string(),
+            (None, Value::Bool(flag)) if name == DRY_RUN => flag.to_string(),
+            (None, _) if name == DRY_RUN => return Err(wrong_type(&name, "true or false")),
             (None, Value::String(text)) => text,
             (Some(ParameterKind::Number { .. }), _) => return Err(wrong_type(&name, "a number")),
             (Some(ParameterKind::Flag), _) => return Err(wrong_type(&name, "true or false")),

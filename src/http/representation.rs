@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 use utoipa::openapi::schema::{Object, ObjectBuilder, Type};
 
 use super::problem::{Details, Problem};
-use crate::jobs::{Job, JobStatus};
+use crate::jobs::{Job, JobStatus, Priority};
 use crate::output::OutputFormat;
 
 /// RFC 3339 in UTC with milliseconds, as the store keeps them.
@@ -44,6 +44,8 @@ pub struct StatusDocument {
     /// Why it failed; null unless it did.
     #[schema(required, value_type = Option<Details>)]
     error: Option<Problem>,
+    #[schema(schema_with = priority_schema)]
+    priority: &'static str,
     /// The submission's `X-Request-ID`, where it had one.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(example = "pacs-4711")]
@@ -87,6 +89,14 @@ fn status_schema() -> Object {
         .build()
 }
 
+fn priority_schema() -> Object {
+    ObjectBuilder::new()
+        .schema_type(Type::String)
+        .enum_values(Some(Priority::ALL.iter().map(|priority| priority.name())))
+        .description(Some("How soon it was asked to run."))
+        .build()
+}
+
 impl Link {
     pub fn new(rel: &'static str, href: String) -> Self {
         Self { rel, href, kind: "application/json" }
@@ -119,6 +129,7 @@ impl From<&Job> for StatusDocument {
             updated: rfc3339(job.updated),
             finished: job.finished.map(rfc3339),
             error: job.error.as_ref().map(|failure| Problem::from(failure).about(job.id)),
+            priority: job.spec.priority.name(),
             request_id: job.spec.origin.request_id.clone(),
             client_reference: job.spec.origin.client_reference.clone(),
             links,

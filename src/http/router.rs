@@ -8,7 +8,7 @@ use tower_http::catch_panic::CatchPanicLayer;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use super::operations::{delete, health, limits, list, openapi, result, status, submit};
+use super::operations::{delete, events, health, limits, list, openapi, result, retry, status, submit};
 use super::problem::{INTERNAL_ERROR, METHOD_NOT_ALLOWED, NOT_FOUND, Problem};
 use super::{App, cors, document, lingering, trace};
 
@@ -17,6 +17,8 @@ pub fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(document::base())
         .routes(routes!(submit::submit, list::list))
         .routes(routes!(status::status, delete::delete))
+        .routes(routes!(events::events))
+        .routes(routes!(retry::retry))
         .routes(routes!(result::negotiated))
         .routes(routes!(result::json))
         .routes(routes!(result::gltf))

@@ -7,12 +7,14 @@ use bytes::Bytes;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 
+use super::inspection::Inspection;
 use super::limits::Limits;
 use super::problem::{
     EMPTY, INDEX_OUT_OF_RANGE, INTERNAL_ERROR, Kind, MALFORMED, MESH_TOO_LARGE, NO_POLYGONS,
     NON_FINITE_COORDINATE, Problem, TRUNCATED, UNSUPPORTED_FEATURE, UNSUPPORTED_FORMAT,
 };
 use crate::jobs::FormatHint;
+use crate::mesh::TriangleMesh;
 use crate::mesh::format::{self, Format, Hint, ReadError};
 
 /// A bounded number of readers on threads of their own, away from the async ones.
@@ -44,21 +46,46 @@ impl Validator {
 
     /// The mesh's format, if it can be read.
     pub(super) async fn check(&self, turn: Turn, bytes: Bytes, hint: FormatHint) -> Result<Format, Problem> {
+        self.read(turn, bytes, hint, |_, format| format).await
+    }
+
+    /// The mesh as a job would find it, if it can be read.
+    pub(super) async fn inspect(
+        &self,
+        turn: Turn,
+        bytes: Bytes,
+        hint: FormatHint,
+        sha256: String,
+    ) -> Result<Inspection, Problem> {
+        let size = bytes.len() as u64;
+        self.read(turn, bytes, hint, move |mesh, format| Inspection::new(&mesh, format, &sha256, size)).await
+    }
+
+    /// Reads the mesh on a thread of the pool and goes on with `then` there.
+    async fn read<T: Send + 'static>(
+        &self,
+        turn: Turn,
+        bytes: Bytes,
+        hint: FormatHint,
+        then: impl FnOnce(TriangleMesh, Format) -> T + Send + 'static,
+    ) -> Result<T, Problem> {
         let (answer, outcome) = oneshot::channel();
         let limits = self.limits;
         self.pool.spawn(move || {
             let read = || {
                 let hint =
                     Hint { extension: hint.extension.as_deref(), content_type: hint.content_type.as_deref() };
-                format::read(&bytes, hint, &limits).map(|(_, format)| format)
+                let (mesh, format) = format::read(&bytes, hint, &limits)?;
+                drop(bytes);
+                Ok(then(mesh, format))
             };
-            let outcome = catch_unwind(AssertUnwindSafe(read));
-            drop((bytes, turn.0));
+            let outcome: Result<Result<T, ReadError>, _> = catch_unwind(AssertUnwindSafe(read));
+            drop(turn.0);
             // Nobody listens any more when the client has left.
             let _ = answer.send(outcome);
         });
         match outcome.await {
-            Ok(Ok(Ok(format))) => Ok(format),
+            Ok(Ok(Ok(found))) => Ok(found),
             Ok(Ok(Err(error))) => Err(refusal(&error)),
             Ok(Err(_)) | Err(_) => {
                 Err(Problem::new(&INTERNAL_ERROR, "the mesh's reader stopped on an internal error"))

@@ -16,6 +16,8 @@ pub enum JobError {
     Dismissed { id: JobId },
     #[error("job {id} failed: {failure}")]
     Failed { id: JobId, failure: Box<JobFailure> },
+    #[error("job {id} is {status}; only a failed job can be tried again")]
+    NotFailed { id: JobId, status: JobStatus },
     #[error("job {id} is being purged")]
     Purging { id: JobId },
     #[error("job {id} has no result as {}", format.extension())]

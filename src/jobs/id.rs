@@ -20,7 +20,7 @@ impl JobId {
     }
 
     /// The milliseconds since the epoch that the id carries.
-    fn millis(self) -> u64 {
+    pub(super) fn millis(self) -> u64 {
         let (seconds, nanos) = self.0.get_timestamp().map_or((0, 0), |stamp| stamp.to_unix());
         seconds * 1000 + u64::from(nanos / 1_000_000)
     }

@@ -14,6 +14,7 @@
 
 pub mod blob;
 mod clock;
+mod coding;
 mod error;
 pub mod extraction;
 mod failure;
@@ -23,6 +24,7 @@ mod id;
 mod live;
 mod model;
 mod panics;
+mod priority;
 mod recovery;
 mod removal;
 mod results;
@@ -34,6 +36,7 @@ pub mod store;
 mod worker;
 
 pub use clock::{Clock, ManualClock, SystemClock};
+pub use coding::Coding;
 pub use error::{JobError, Unready};
 pub use failure::JobFailure;
 pub use folder::{DataFolder, FolderError};
@@ -44,6 +47,7 @@ pub use model::{
     StoredArtifact, StoredInput, UnknownStatus,
 };
 pub use panics::log_panics_without_text;
+pub use priority::{Priority, UnknownPriority};
 pub use removal::Removed;
 pub use service::{JobService, Upload};
 pub use settings::{MAX_CRASHES, Settings, TooManyWorkers};

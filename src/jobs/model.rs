@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::{JobFailure, JobId};
+use super::{Coding, JobFailure, JobId, Priority};
 use crate::centerline::{ParameterError, ParameterKind, Parameters, TABLE};
 use crate::mesh::Units;
 use crate::output::OutputFormat;
@@ -168,6 +168,7 @@ pub struct JobSpec {
     pub parameters: ParameterValues,
     pub origin: Origin,
     pub idempotency: Option<Idempotency>,
+    pub priority: Priority,
 }
 
 impl Default for JobSpec {
@@ -180,6 +181,7 @@ impl Default for JobSpec {
             parameters,
             origin: Origin::default(),
             idempotency: None,
+            priority: Priority::default(),
         }
     }
 }
@@ -204,6 +206,8 @@ pub struct StoredArtifact {
     pub size: u64,
     /// SHA-256 of the bytes, lower-case hex: a strong ETag.
     pub sha256: String,
+    #[serde(default, skip_serializing_if = "Coding::is_identity")]
+    pub coding: Coding,
 }
 
 /// Output formats as their extensions.
@@ -353,7 +357,13 @@ mod tests {
         }
         assert_eq!("Running".parse::<JobStatus>(), Err(UnknownStatus));
         for format in OutputFormat::ALL {
-            let artifact = StoredArtifact { format, key: "k".into(), size: 1, sha256: "00".into() };
+            let artifact = StoredArtifact {
+                format,
+                key: "k".into(),
+                size: 1,
+                sha256: "00".into(),
+                coding: Coding::Gzip,
+            };
             let json = serde_json::to_string(&artifact).unwrap();
             assert!(json.contains(&format!("\"format\":\"{}\"", format.extension())), "{json}");
             assert_eq!(serde_json::from_str::<StoredArtifact>(&json).unwrap(), artifact);

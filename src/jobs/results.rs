@@ -1,12 +1,16 @@
-//! The end of a good run: results on disk first, then the row that says so.
+//! Results: on disk first, as they are and compressed, then the row that says so; and handed out again.
+
+use std::ops::Range;
 
 use bytes::Bytes;
 use futures::StreamExt;
 
+use super::blob::BlobReader;
+use super::coding::LEAST;
 use super::live::Entry;
 use super::runner::Artifact;
 use super::worker::{Backoff, Worker};
-use super::{Job, JobError, JobStage, Lease, StoredArtifact};
+use super::{Coding, Job, JobError, JobId, JobService, JobStage, JobStatus, Lease, StoredArtifact};
 use crate::output::OutputFormat;
 
 impl Worker {
@@ -19,8 +23,7 @@ impl Worker {
         artifacts: Vec<Artifact>,
     ) {
         entry.report(JobStage::Writing, 0.5);
-        let artifacts: Vec<(OutputFormat, Bytes)> =
-            artifacts.into_iter().map(|artifact| (artifact.format, Bytes::from(artifact.bytes))).collect();
+        let artifacts = packed(artifacts).await;
         let mut backoff = Backoff::new();
         loop {
             match self.write_results(job, lease, &artifacts).await {
@@ -41,12 +44,14 @@ impl Worker {
 
     /// Drops the results of a run whose lease is void. A write that failed may have been committed all the
     /// same, so the row decides whether they are its own.
-    async fn drop_unless_named(&self, job: &Job, lease: &Lease, artifacts: &[(OutputFormat, Bytes)]) {
+    async fn drop_unless_named(&self, job: &Job, lease: &Lease, artifacts: &[Packed]) {
         match self.shared.store.get(job.id).await {
             Ok(Some(found)) if found.lease.as_ref() == Some(lease) => {
                 tracing::warn!("not put back; the next start does that, and removes the results");
             }
-            Ok(Some(found)) if names(&found, &result_key(job, lease, OutputFormat::Json)) => {
+            Ok(Some(found))
+                if names(&found, &result_key(job, lease, OutputFormat::Json, Coding::Identity)) =>
+            {
                 tracing::info!("successful");
             }
             Ok(_) => {
@@ -59,25 +64,21 @@ impl Worker {
         }
     }
 
-    async fn write_results(
-        &self,
-        job: &Job,
-        lease: &Lease,
-        artifacts: &[(OutputFormat, Bytes)],
-    ) -> Result<bool, JobError> {
+    async fn write_results(&self, job: &Job, lease: &Lease, artifacts: &[Packed]) -> Result<bool, JobError> {
         let mut stored = Vec::with_capacity(artifacts.len());
-        for (format, bytes) in artifacts {
-            let key = result_key(job, lease, *format);
+        for Packed { format, coding, bytes } in artifacts {
+            let (format, coding) = (*format, *coding);
+            let key = result_key(job, lease, format, coding);
             let body = futures::stream::iter([Ok(bytes.clone())]).boxed();
             let info = self.shared.blobs.put(&key, body, u64::MAX).await?;
-            stored.push(StoredArtifact { format: *format, key, size: info.size, sha256: info.sha256 });
+            stored.push(StoredArtifact { format, key, size: info.size, sha256: info.sha256, coding });
         }
         Ok(self.shared.store.succeed(job.id, lease, &stored, self.shared.clock.now_ms()).await?)
     }
 
-    async fn drop_results(&self, job: &Job, lease: &Lease, artifacts: &[(OutputFormat, Bytes)]) {
-        for (format, _) in artifacts {
-            if let Err(error) = self.shared.blobs.delete(&result_key(job, lease, *format)).await {
+    async fn drop_results(&self, job: &Job, lease: &Lease, artifacts: &[Packed]) {
+        for Packed { format, coding, .. } in artifacts {
+            if let Err(error) = self.shared.blobs.delete(&result_key(job, lease, *format, *coding)).await {
                 tracing::warn!(%error, "a dropped result stays until the next start");
             }
         }
@@ -90,6 +91,90 @@ fn names(job: &Job, key: &str) -> bool {
 }
 
 /// The lease in the key keeps two runs of a job from writing one file.
-fn result_key(job: &Job, lease: &Lease, format: OutputFormat) -> String {
-    format!("{}/{}/centerline.{}", job.id, lease.as_str(), format.extension())
+fn result_key(job: &Job, lease: &Lease, format: OutputFormat, coding: Coding) -> String {
+    format!("{}/{}/centerline.{}{}", job.id, lease.as_str(), format.extension(), coding.suffix())
+}
+
+/// One form of the result in one coding.
+struct Packed {
+    format: OutputFormat,
+    coding: Coding,
+    bytes: Bytes,
+}
+
+/// Every form as it is, and the texts compressed where that makes them smaller.
+async fn packed(artifacts: Vec<Artifact>) -> Vec<Packed> {
+    let plain: Vec<Packed> = artifacts
+        .into_iter()
+        .map(|artifact| Packed {
+            format: artifact.format,
+            coding: Coding::Identity,
+            bytes: artifact.bytes.into(),
+        })
+        .collect();
+    let texts: Vec<(OutputFormat, Bytes)> =
+        plain.iter().map(|form| (form.format, form.bytes.clone())).collect();
+    let smaller =
+        tokio::task::spawn_blocking(move || texts.into_iter().flat_map(smaller).collect::<Vec<_>>());
+    // What cannot be compressed is there as it is.
+    let smaller = smaller.await.inspect_err(|error| tracing::warn!(%error, "results are not compressed"));
+    plain.into_iter().chain(smaller.unwrap_or_default()).collect()
+}
+
+fn smaller((format, bytes): (OutputFormat, Bytes)) -> Vec<Packed> {
+    if bytes.len() < LEAST || format == OutputFormat::Glb {
+        return Vec::new();
+    }
+    let pack = |coding: Coding| {
+        let packed = coding.pack(&bytes).ok().filter(|packed| packed.len() < bytes.len())?;
+        Some(Packed { format, coding, bytes: packed.into() })
+    };
+    Coding::PACKED.into_iter().filter_map(pack).collect()
+}
+
+impl JobService {
+    /// A successful job's result in one form, as it is.
+    ///
+    /// # Errors
+    /// [`JobError::NotReady`], [`JobError::Failed`] or [`JobError::Dismissed`] by the job's state.
+    pub async fn result(&self, id: JobId, format: OutputFormat) -> Result<StoredArtifact, JobError> {
+        self.result_in(id, format, &[Coding::Identity]).await
+    }
+
+    /// A successful job's result in one form, in the first of `codings` that there is.
+    ///
+    /// # Errors
+    /// Those of [`JobService::result`].
+    pub async fn result_in(
+        &self,
+        id: JobId,
+        format: OutputFormat,
+        codings: &[Coding],
+    ) -> Result<StoredArtifact, JobError> {
+        let job = self.shared.store.get(id).await?.ok_or(JobError::NotFound { id })?;
+        if job.purging.is_some() {
+            return Err(JobError::Purging { id });
+        }
+        match (job.status, job.error) {
+            (JobStatus::Successful, _) => {
+                let of = |coding: &Coding| {
+                    let mut forms = job.artifacts.iter();
+                    forms.find(|artifact| (artifact.format, artifact.coding) == (format, *coding)).cloned()
+                };
+                codings.iter().find_map(of).ok_or(JobError::NoSuchResult { id, format })
+            }
+            (JobStatus::Failed, Some(failure)) => Err(JobError::Failed { id, failure: Box::new(failure) }),
+            (JobStatus::Dismissed, _) => Err(JobError::Dismissed { id }),
+            (status, _) => Err(JobError::NotReady { id, status }),
+        }
+    }
+
+    /// The bytes of a result, or of a range within it.
+    pub async fn open_result(
+        &self,
+        artifact: &StoredArtifact,
+        range: Option<Range<u64>>,
+    ) -> Result<BlobReader, JobError> {
+        Ok(self.shared.blobs.open(&artifact.key, range).await?)
+    }
 }

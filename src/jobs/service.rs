@@ -1,7 +1,6 @@
 //! The door to the queue.
 
 use std::io;
-use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -11,7 +10,6 @@ use futures::{Stream, StreamExt};
 use tokio::sync::{Notify, watch};
 use tokio::task::JoinHandle;
 
-use super::blob::BlobReader;
 use super::housekeeping;
 use super::live::Board;
 use super::recovery::recover;
@@ -19,10 +17,9 @@ use super::runner::JobRunner;
 use super::store::{ListQuery, Page};
 use super::worker::{Phase, Shared, Worker};
 use super::{
-    Clock, Counts, IdSource, Job, JobError, JobId, JobSpec, JobStatus, Settings, Storage, StoredArtifact,
-    StoredInput, SystemClock, Unready,
+    Clock, Counts, IdSource, Job, JobError, JobId, JobSpec, JobStatus, Settings, Storage, StoredInput,
+    SystemClock, Unready,
 };
-use crate::output::OutputFormat;
 
 /// A mesh that was stored for a job not yet submitted. Dropping it removes the mesh.
 pub struct Upload {
@@ -157,6 +154,26 @@ impl JobService {
         Ok(self.with_progress(job))
     }
 
+    /// Lets a failed job run again, with its own mesh and parameters.
+    ///
+    /// # Errors
+    /// [`JobError::NotFailed`] when it did not fail.
+    pub async fn retry(&self, id: JobId) -> Result<Job, JobError> {
+        if self.phase() != Phase::Open {
+            return Err(JobError::ShuttingDown);
+        }
+        if !self.shared.store.retry(id, self.shared.clock.now_ms()).await? {
+            let job = self.shared.store.get(id).await?.ok_or(JobError::NotFound { id })?;
+            return Err(match job.purging {
+                Some(_) => JobError::Purging { id },
+                None => JobError::NotFailed { id, status: job.status },
+            });
+        }
+        self.shared.wake.notify_one();
+        tracing::info!(%id, "to be tried again");
+        self.status(id).await
+    }
+
     /// The job that was made with this idempotency key, as it is now.
     pub async fn find(&self, key: &str) -> Result<Option<Job>, JobError> {
         Ok(self.shared.store.by_key(key).await?.map(|job| self.with_progress(job)))
@@ -227,35 +244,6 @@ impl JobService {
 
     pub async fn counts(&self) -> Result<Counts, JobError> {
         Ok(self.shared.store.counts().await?)
-    }
-
-    /// A successful job's result in one form.
-    ///
-    /// # Errors
-    /// [`JobError::NotReady`], [`JobError::Failed`] or [`JobError::Dismissed`] by the job's state.
-    pub async fn result(&self, id: JobId, format: OutputFormat) -> Result<StoredArtifact, JobError> {
-        let job = self.shared.store.get(id).await?.ok_or(JobError::NotFound { id })?;
-        if job.purging.is_some() {
-            return Err(JobError::Purging { id });
-        }
-        match (job.status, job.error) {
-            (JobStatus::Successful, _) => {
-                let found = job.artifacts.into_iter().find(|artifact| artifact.format == format);
-                found.ok_or(JobError::NoSuchResult { id, format })
-            }
-            (JobStatus::Failed, Some(failure)) => Err(JobError::Failed { id, failure: Box::new(failure) }),
-            (JobStatus::Dismissed, _) => Err(JobError::Dismissed { id }),
-            (status, _) => Err(JobError::NotReady { id, status }),
-        }
-    }
-
-    /// The bytes of a result, or of a range within it.
-    pub async fn open_result(
-        &self,
-        artifact: &StoredArtifact,
-        range: Option<Range<u64>>,
-    ) -> Result<BlobReader, JobError> {
-        Ok(self.shared.blobs.open(&artifact.key, range).await?)
     }
 
     /// Whether requests can be served: the stores can be written and no shutdown is under way.

@@ -7,11 +7,13 @@ use std::fmt;
 pub struct Sites {
     pub count: usize,
     /// Numbers of vertices or triangles in the input, from 0; those past `count` say nothing.
-    pub first: [u32; Sites::NAMED],
+    pub first: [u32; Sites::KEPT],
 }
 
 impl Sites {
-    /// How many places are named.
+    /// How many places are kept.
+    pub const KEPT: usize = 24;
+    /// How many places a message names.
     pub const NAMED: usize = 5;
 
     pub(super) fn add(&mut self, site: u32) {
@@ -23,9 +25,14 @@ impl Sites {
 
     /// The same places by other numbers.
     pub(super) fn renamed(mut self, names: &[u32]) -> Self {
-        let named = self.count.min(Self::NAMED);
+        let named = self.count.min(Self::KEPT);
         self.first[..named].iter_mut().for_each(|site| *site = names[*site as usize]);
         self
+    }
+
+    /// The places that are kept.
+    pub fn indices(&self) -> &[u32] {
+        &self.first[..self.count.min(Self::KEPT)]
     }
 
     /// The places that are named, for messages: `3, 17, ...`.

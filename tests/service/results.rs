@@ -1,5 +1,7 @@
 //! Results: negotiation, entity tags, ranges.
 
+use std::io::Read;
+
 use reqwest::{Method, RequestBuilder, StatusCode};
 
 use crate::meshes;
@@ -32,7 +34,7 @@ async fn accept_chooses_and_an_extension_beats_it() {
     let glb = service.get(&format!("{result}.glb")).header("accept", "application/json");
     assert_eq!(content_type(glb).await, "model/gltf-binary");
     let response = service.get(&result).header("accept", "model/gltf-binary").send().await.unwrap();
-    assert_eq!(response.headers()["vary"], "accept");
+    assert_eq!(response.headers()["vary"], "accept, accept-encoding");
     assert_eq!(response.headers()["content-location"], format!("{result}.glb"));
     assert_eq!(&response.bytes().await.unwrap()[..4], b"glTF");
     let response = service.get(&result).header("accept", "text/html").send().await.unwrap();
@@ -135,4 +137,93 @@ async fn a_browser_may_read_what_it_needs() {
     assert!(["content-type", "prefer", "range", "if-none-match"].iter().all(|name| allowed.contains(name)));
     let response = service.post("/v1/jobs").header("origin", "https://viewer.example").send().await.unwrap();
     assert_eq!(response.headers()["access-control-allow-origin"], "*", "errors too");
+}
+
+/// Those that were compressed have tags, lengths and ranges of their own.
+#[tokio::test]
+async fn texts_come_compressed_where_that_is_asked_for() {
+    let (service, result) = finished().await;
+    let unpack = |coding: &str, bytes: &[u8]| {
+        let mut text = Vec::new();
+        match coding {
+            "gzip" => drop(flate2::read::GzDecoder::new(bytes).read_to_end(&mut text).unwrap()),
+            _ => text = zstd::decode_all(bytes).unwrap(),
+        }
+        text
+    };
+    for extension in [".json", ".gltf"] {
+        let path = format!("{result}{extension}");
+        let plain = service.get(&path).send().await.unwrap();
+        assert_eq!(plain.headers()["vary"], "accept-encoding");
+        let mut tags = vec![plain.headers()["etag"].clone()];
+        let plain = plain.bytes().await.unwrap();
+        for coding in ["gzip", "zstd"] {
+            let asked = |method: Method| {
+                let request = service.client.request(method, format!("{}{path}", service.url));
+                request.header("accept-encoding", coding)
+            };
+            let response = asked(Method::GET).send().await.unwrap();
+            let headers = response.headers().clone();
+            assert_eq!(headers["content-encoding"], coding);
+            assert_eq!(headers["vary"], "accept-encoding");
+            let packed = response.bytes().await.unwrap();
+            assert!(packed.len() < plain.len() && unpack(coding, &packed) == plain, "{coding}");
+            assert_eq!(headers["content-length"], packed.len().to_string());
+            let head = asked(Method::HEAD).send().await.unwrap();
+            assert_eq!(head.headers()["etag"], headers["etag"]);
+            assert_eq!(head.headers()["content-encoding"], coding);
+            assert_eq!(head.headers()["content-length"], packed.len().to_string());
+            let known = asked(Method::GET).header("if-none-match", &headers["etag"]).send().await.unwrap();
+            assert_eq!(known.status(), StatusCode::NOT_MODIFIED);
+            let part = asked(Method::GET).header("range", "bytes=10-19").header("if-range", &headers["etag"]);
+            let part = part.send().await.unwrap();
+            assert_eq!(part.status(), StatusCode::PARTIAL_CONTENT);
+            assert_eq!(part.headers()["content-range"], format!("bytes 10-19/{}", packed.len()));
+            assert_eq!(part.bytes().await.unwrap(), packed[10..20], "a range of the compressed bytes");
+            let mixed = asked(Method::GET).header("range", "bytes=10-19").header("if-range", &tags[0]);
+            assert_eq!(
+                mixed.send().await.unwrap().status(),
+                StatusCode::OK,
+                "parts of two codings do not mix"
+            );
+            tags.push(headers["etag"].clone());
+        }
+        tags.dedup();
+        assert_eq!(tags.len(), 3);
+    }
+    for (path, accept) in
+        [(format!("{result}.glb"), "gzip, zstd"), (format!("{result}.json"), "br, gzip;q=0")]
+    {
+        let response = service.get(&path).header("accept-encoding", accept).send().await.unwrap();
+        assert!(!response.headers().contains_key("content-encoding"), "{path}");
+    }
+}
+
+#[tokio::test]
+async fn every_path_answers_options_and_what_can_be_got_answers_head() {
+    let (service, result) = finished().await;
+    let job = result.split("/results").next().unwrap().to_owned();
+    let paths = ["/v1/jobs", "/v1/limits", "/healthz", "/readyz", "/openapi.yaml"].map(str::to_owned);
+    let (events, retry) = (format!("{job}/events"), format!("{job}/retry"));
+    for path in paths.into_iter().chain([job, events, retry.clone(), result.clone(), format!("{result}.glb")])
+    {
+        let url = format!("{}{path}", service.url);
+        let preflight = service
+            .client
+            .request(Method::OPTIONS, &url)
+            .header("origin", "https://viewer.example")
+            .header("access-control-request-method", "POST")
+            .header("access-control-request-headers", "content-type, idempotency-key, last-event-id")
+            .send()
+            .await
+            .unwrap();
+        assert_eq!(preflight.status(), StatusCode::OK, "{path}");
+        let allowed = preflight.headers()["access-control-allow-methods"].to_str().unwrap().to_owned();
+        assert!(["GET", "HEAD", "POST", "DELETE"].iter().all(|method| allowed.contains(method)), "{allowed}");
+        if path != retry {
+            let head = service.client.head(&url).send().await.unwrap();
+            assert_eq!(head.status(), StatusCode::OK, "{path}");
+            assert!(head.bytes().await.unwrap().is_empty());
+        }
+    }
 }

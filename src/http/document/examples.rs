@@ -9,7 +9,7 @@ pub fn accepted() -> Value {
     json!({
         "id": "019aa8b6-7a42-7d52-8d53-2f8ad3a2b9c1", "status": "accepted", "progress": 0, "stage": null,
         "created": "2026-11-22T05:25:58.123Z", "started": null, "updated": "2026-11-22T05:25:58.123Z",
-        "finished": null, "error": null,
+        "finished": null, "error": null, "priority": "normal",
         "links": [{"rel": "self", "href": JOB, "type": "application/json"}],
     })
 }
@@ -21,6 +21,7 @@ pub fn successful() -> Value {
         "id": "019aa8b6-7a42-7d52-8d53-2f8ad3a2b9c1", "status": "successful", "progress": 100,
         "stage": null, "created": "2026-11-22T05:25:58.123Z", "started": "2026-11-22T05:25:58.130Z",
         "updated": "2026-11-22T05:25:59.201Z", "finished": "2026-11-22T05:25:59.201Z", "error": null,
+        "priority": "normal",
         "links": [
             {"rel": "self", "href": JOB, "type": "application/json"},
             result("json", "application/json"), result("glb", "model/gltf-binary"), result("gltf", "model/gltf+json"),
@@ -80,6 +81,19 @@ fn parameters() -> Value {
         (spec.name.to_owned(), value)
     });
     Value::Object(members.collect())
+}
+
+/// A mesh with a defect.
+pub fn inspection() -> Value {
+    json!({
+        "acceptable": true, "format": "stl",
+        "sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08", "bytes": 64084,
+        "vertices": 642, "triangles": 1281, "components": 1, "genus": 0, "openings": 2, "diagonal": 20.4,
+        "defects": [{
+            "code": "duplicate-triangles", "count": 1, "of": "triangle", "indices": [1280], "repaired": true,
+            "detail": "it repeats another; left out",
+        }],
+    })
 }
 
 /// A service that answers.

@@ -8,10 +8,10 @@ use utoipa::openapi::schema::{KnownFormat, Object, ObjectBuilder, SchemaFormat, 
 
 use super::super::idempotency::{IDEMPOTENCY_KEY, KEY_PATTERN};
 use super::super::limits::Limits;
-use super::super::parameters::{CLIENT_REFERENCE, NAME, PRESET, UNITS};
+use super::super::parameters::{CLIENT_REFERENCE, DRY_RUN, NAME, PRESET, PRIORITY, UNITS};
 use super::super::prefer::PREFER;
 use crate::centerline::{ParameterKind, ParameterSpec, Preset, TABLE};
-use crate::jobs::JobStatus;
+use crate::jobs::{JobStatus, Priority};
 use crate::mesh::Units;
 use crate::output::OutputFormat;
 
@@ -70,6 +70,12 @@ parameters! {
         text(),
         json!("wait=10"),
     )];
+    LastEventHeader => vec![header(
+        "Last-Event-ID",
+        "The id of the last event that the client got: what it says is not told again",
+        text(),
+        json!("9f86d081884c7d659a2feaa0c55ad015"),
+    )];
     IfMatchHeader => vec![header(
         "If-Match",
         "The status' `ETag`s for which to do it: 412 when the job's is another",
@@ -81,6 +87,12 @@ parameters! {
     ConditionHeaders => vec![
         if_none_match(),
         header("Range", "One range of bytes; several are answered whole", text(), json!("bytes=0-1023")),
+        header(
+            "Accept-Encoding",
+            "`gzip` or `zstd` for JSON and glTF compressed; each coding has an `ETag` and ranges of its own",
+            text(),
+            json!("zstd, gzip;q=0.5"),
+        ),
         header("If-Range", "The `ETag` for which `Range` applies", text(), json!(ETAG)),
     ];
 }
@@ -127,6 +139,17 @@ pub fn job_parameters() -> Vec<(String, Object)> {
                 .build(),
         ),
     ];
+    let priorities = words(Priority::ALL.iter().map(|priority| priority.name()), Priority::default().name());
+    let urgent = "`urgent` jobs run before those that did not come ten minutes before them";
+    list.push((PRIORITY.to_owned(), priorities.description(Some(urgent)).build()));
+    list.push((
+        DRY_RUN.to_owned(),
+        ObjectBuilder::new()
+            .schema_type(Type::Boolean)
+            .default(Some(json!(false)))
+            .description(Some("`true` makes no job: the mesh is read, and what is wrong with it is answered"))
+            .build(),
+    ));
     list.extend(TABLE.iter().map(|spec| (spec.name.to_owned(), row(spec))));
     list
 }

@@ -37,6 +37,8 @@ problems! {
     JobProblems => [JOB_NOT_FOUND, STORAGE_UNAVAILABLE];
     /// Of `DELETE`.
     DeleteProblems => [JOB_NOT_FOUND, PRECONDITION_FAILED, STORAGE_UNAVAILABLE, STORAGE_FULL];
+    /// Of `POST /v1/jobs/{id}/retry`.
+    RetryProblems => [JOB_NOT_FOUND, NOT_RETRYABLE, JOB_PURGED, NOT_READY, STORAGE_UNAVAILABLE, STORAGE_FULL];
     /// Of a result with an extension. A failed job answers with its own failure.
     ResultProblems => [
         JOB_NOT_FOUND, JOB_PURGED, RESULT_NOT_READY, JOB_DISMISSED, STORAGE_UNAVAILABLE, RANGE_NOT_SATISFIABLE, FAILED_JOB_EXAMPLE,

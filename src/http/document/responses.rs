@@ -30,7 +30,20 @@ macro_rules! responses {
 }
 
 responses! {
-    Created => [("201", created())];
+    Created => [
+        ("200", ResponseBuilder::new()
+            .description("Of a dry run: the mesh as a job would find it; there is none")
+            .content(JSON, content("Inspection", Some(examples::inspection())))),
+        ("201", created()),
+    ];
+    Retried => [("200", job("The job waits again", examples::accepted())
+        .header("Retry-After", seconds("Seconds after which to ask for its status")))];
+    Events => [
+        ("200", ResponseBuilder::new()
+            .description("The job's changes; each event's data is a `JobStatus`")
+            .content("text/event-stream", Content::new(Some(ObjectBuilder::new().schema_type(Type::String))))),
+        ("204", ResponseBuilder::new().description("The job has ended and the client knows how")),
+    ];
     Status => [
         ("200", status()),
         ("304", ResponseBuilder::new()
@@ -140,7 +153,9 @@ fn result(description: &str, formats: &[OutputFormat]) -> ResponseBuilder {
         .description(description)
         .header("ETag", header("Strong entity tag"))
         .header("Cache-Control", header("A result never changes"))
-        .header("Accept-Ranges", header("`bytes`"));
+        .header("Accept-Ranges", header("`bytes`"))
+        .header("Content-Encoding", header("The coding that was chosen by `Accept-Encoding`"))
+        .header("Vary", header("`accept-encoding`, and `accept` where that chose the form"));
     for format in formats {
         let content = match format {
             OutputFormat::Json => content("ResultDocument", Some(examples::centerline())),
@@ -167,9 +182,7 @@ fn partial(formats: &[OutputFormat]) -> ResponseBuilder {
 }
 
 fn negotiated(response: ResponseBuilder) -> ResponseBuilder {
-    response
-        .header("Vary", header("`accept`"))
-        .header("Content-Location", header("The path of this form of the result"))
+    response.header("Content-Location", header("The path of this form of the result"))
 }
 
 fn not_modified() -> ResponseBuilder {

@@ -1,11 +1,13 @@
 //! The API's operations, one a file.
 
 pub mod delete;
+pub mod events;
 pub mod health;
 pub mod limits;
 pub mod list;
 pub mod openapi;
 pub mod result;
+pub mod retry;
 pub mod status;
 pub mod submit;
 

@@ -10,11 +10,11 @@ use axum::response::{IntoResponse, Response};
 use super::super::document::{self, NegotiatedProblems, ResultProblems};
 use super::super::etag::ETag;
 use super::super::problem::{NOT_ACCEPTABLE, Problem, RANGE_NOT_SATISFIABLE};
-use super::super::{App, negotiation, range};
+use super::super::{App, coding, negotiation, range};
 use super::status::RETRY_AFTER;
 use super::{Asked, Id};
 use crate::jobs::blob::{BlobError, BlobReader};
-use crate::jobs::{JobError, JobId, StoredArtifact};
+use crate::jobs::{Coding, JobError, JobId, StoredArtifact};
 use crate::output::OutputFormat;
 
 /// Results never change under their URL; they may be patient data, so only the client's own cache keeps them.
@@ -45,7 +45,7 @@ pub async fn negotiated(State(app): State<App>, Id(id): Id, asked: Asked) -> Res
             .about(id));
     };
     let mut response = answer(&app, id, *format, &asked).await?;
-    response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept"));
+    response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept, accept-encoding"));
     if let Ok(location) =
         HeaderValue::try_from(format!("/v1/jobs/{id}/results/centerline.{}", format.extension()))
     {
@@ -98,7 +98,8 @@ pub async fn glb(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<Res
 }
 
 async fn answer(app: &App, id: JobId, format: OutputFormat, asked: &Asked) -> Result<Response, Problem> {
-    let artifact = app.jobs().result(id, format).await.map_err(unavailable)?;
+    let codings = coding::accepted(&asked.headers);
+    let artifact = app.jobs().result_in(id, format, &codings).await.map_err(unavailable)?;
     let etag = ETag::of_digest(&artifact.sha256);
     let headers = &asked.headers;
     let mut response = if etag.is_known_to(headers) {
@@ -113,6 +114,7 @@ async fn answer(app: &App, id: JobId, format: OutputFormat, asked: &Asked) -> Re
         }
     };
     response.headers_mut().insert(header::CACHE_CONTROL, CACHE_CONTROL);
+    response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept-encoding"));
     if let Some(etag) = etag.header() {
         response.headers_mut().insert(header::ETAG, etag);
     }
@@ -167,6 +169,9 @@ fn described(status: StatusCode, artifact: &StoredArtifact, length: u64, body: B
     let mut response = (status, body).into_response();
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(artifact.format.media_type()));
+    if artifact.coding != Coding::Identity {
+        headers.insert(header::CONTENT_ENCODING, HeaderValue::from_static(artifact.coding.name()));
+    }
     headers.insert(header::CONTENT_LENGTH, HeaderValue::from(length));
     headers.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
     headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));

@@ -26,6 +26,8 @@ pub const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 /// A form has the parts `mesh` and, before or after it, `parameters`: a JSON object with the names of the query
 /// parameters, which override the query's.
 ///
+/// With `dry_run=true` no job is made: the answer is a 200 with the surface and every defect of it.
+///
 /// A raw body with a `Content-Digest` (RFC 9530) of SHA-256 is refused when it has another one.
 #[utoipa::path(
     post,
@@ -39,13 +41,25 @@ pub async fn submit(State(app): State<App>, request: Request) -> Result<Response
     let wait = prefer::wait(request.headers(), app.limits().wait);
     let request_id = request_id(request.headers(), app.limits().reference_chars);
     let claim = app.in_flight().claim(request.headers())?;
-    let job = accept(&app, upload::receive(&app, request).await?, request_id, claim.as_ref()).await?;
+    let received = upload::receive(&app, request).await?;
+    if received.asked.dry_run {
+        return inspect(&app, received).await;
+    }
+    let job = accept(&app, received, request_id, claim.as_ref()).await?;
     drop(claim);
     let job = match wait {
         Some(limit) => until_ended(&app, job, limit).await,
         None => job,
     };
     Ok(created(&job, wait))
+}
+
+/// Reads the mesh and says what is wrong with it; nothing of it is kept.
+async fn inspect(app: &App, Received { upload, hint, .. }: Received) -> Result<Response, Problem> {
+    let turn = app.validator().turn().await?;
+    let bytes = upload.read().await?;
+    let inspection = app.validator().inspect(turn, bytes, hint, upload.sha256().to_owned()).await?;
+    Ok(([(header::CACHE_CONTROL, "no-store")], Json(inspection)).into_response())
 }
 
 /// Checks the mesh and makes the job durable.
@@ -63,6 +77,7 @@ async fn accept(
         parameters: ParameterValues::from(&asked.parameters),
         origin: Origin { request_id, client_reference: asked.client_reference },
         idempotency: None,
+        priority: asked.priority,
     };
     if let Some(claim) = claim {
         let request = claim.of(&spec, upload.sha256());

@@ -4,8 +4,8 @@ use axum::http::header;
 
 use super::super::idempotency;
 use super::{
-    INTERNAL_ERROR, JOB_DISMISSED, JOB_NOT_FOUND, JOB_PURGED, NOT_READY, Problem, RESULT_NOT_READY,
-    STORAGE_FULL, STORAGE_UNAVAILABLE,
+    INTERNAL_ERROR, JOB_DISMISSED, JOB_NOT_FOUND, JOB_PURGED, NOT_READY, NOT_RETRYABLE, Problem,
+    RESULT_NOT_READY, STORAGE_FULL, STORAGE_UNAVAILABLE,
 };
 use crate::jobs::JobError;
 use crate::jobs::blob::BlobError;
@@ -36,6 +36,10 @@ impl From<JobError> for Problem {
                 &STORAGE_FULL,
                 "the service's disk is full; try again when its operator has made room",
             ),
+            JobError::NotFailed { id, status } => {
+                let detail = format!("the job is {status}; only a failed job can be tried again");
+                Problem::new(&NOT_RETRYABLE, detail).with("job_status", status.name()).about(id)
+            }
             JobError::Purging { id } => {
                 Problem::new(&JOB_PURGED, "the job is being purged and has no result; post the mesh again")
                     .about(id)

@@ -21,6 +21,7 @@ kinds! {
     INVALID_PARAMETER = BAD_REQUEST, "invalid-parameter", "A parameter has a value that it cannot take";
     UPLOAD_INCOMPLETE = BAD_REQUEST, "upload-incomplete", "The upload broke off";
     DIGEST_MISMATCH = BAD_REQUEST, "digest-mismatch", "The body is not the one that its digest is of";
+    NOT_RETRYABLE = CONFLICT, "not-retryable", "The job did not fail";
     IDEMPOTENCY_IN_FLIGHT = CONFLICT, "idempotency-in-flight", "A request with this key is under way";
     IDEMPOTENCY_KEY_REUSED = UNPROCESSABLE_ENTITY, "idempotency-key-reused",
         "The key was used for another request";

@@ -83,7 +83,8 @@ pub trait JobStore: Send + Sync + 'static {
     /// Leaves out, and logs, rows that cannot be read.
     fn list(&self, query: ListQuery) -> StoreFuture<'_, Page>;
 
-    /// Sets the oldest waiting job running under `lease` and counts the attempt.
+    /// Sets the next waiting job running under `lease` and counts the attempt: the oldest, where urgent ones count
+    /// as older than they are.
     ///
     /// A job that was running when the process died runs beside no other such job, and one that was so twice
     /// runs alone and before all others, so that a job which takes the process down is told from its
@@ -125,6 +126,9 @@ pub trait JobStore: Send + Sync + 'static {
     /// running → accepted for the job that a failed [`JobStore::claim`] may have got; the attempt does not
     /// count. `false`: it got none.
     fn unclaim<'a>(&'a self, lease: &'a Lease, now: i64) -> StoreFuture<'a, bool>;
+
+    /// failed → accepted, as if it had never run. `false`: it is not failed, or being purged.
+    fn retry(&self, id: JobId, now: i64) -> StoreFuture<'_, bool>;
 
     /// accepted or running → dismissed. `false`: it was neither.
     fn dismiss(&self, id: JobId, now: i64) -> StoreFuture<'_, bool>;

@@ -91,6 +91,7 @@ pub(super) fn job(row: &AnyRow) -> Result<Job, StoreError> {
                 .optional_text("idempotency_key")?
                 .zip(columns.optional_text("idempotency_fingerprint")?)
                 .map(|(key, fingerprint)| Idempotency { key, fingerprint }),
+            priority: columns.parsed("priority")?,
         },
         artifacts: columns.json("artifacts", &columns.text("artifacts")?)?,
         attempts: columns.number("attempts")?,

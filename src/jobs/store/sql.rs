@@ -77,9 +77,10 @@ impl JobStore for SqlStore {
         async move {
             let sql = "INSERT INTO jobs (id, status, progress, stage, created, started, updated, finished, error, \
                        input_key, input_size, input_sha256, hint_extension, hint_content_type, name, units, parameters, artifacts, \
-                       attempts, lease, request_id, client_reference, idempotency_key, idempotency_fingerprint) \
+                       attempts, lease, request_id, client_reference, idempotency_key, idempotency_fingerprint, \
+                       priority, turn) \
                        VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, $18, $19, $20, \
-                       $21, $22, $23, $24)";
+                       $21, $22, $23, $24, $25, $26)";
             let error = job.error.as_ref().map(json).transpose()?;
             let statement = sqlx::query(sql)
                 .bind(job.id.to_string())
@@ -105,7 +106,9 @@ impl JobStore for SqlStore {
                 .bind(job.spec.origin.request_id.clone())
                 .bind(job.spec.origin.client_reference.clone())
                 .bind(job.spec.idempotency.as_ref().map(|request| request.key.clone()))
-                .bind(job.spec.idempotency.as_ref().map(|request| request.fingerprint.clone()));
+                .bind(job.spec.idempotency.as_ref().map(|request| request.fingerprint.clone()))
+                .bind(job.spec.priority.name())
+                .bind(job.spec.priority.turn(bigint(job.id.millis())));
             self.change(statement).await.map_err(|error| match error {
                 // Ids are made here and never repeat, so it is the key.
                 StoreError::Database(error) if is_repeated(&error) => StoreError::KeyTaken,
@@ -234,6 +237,10 @@ impl JobStore for SqlStore {
         let sql = "UPDATE jobs SET status = 'accepted', attempts = attempts - 1, updated = $2, progress = 0, \
                    stage = NULL, started = NULL, lease = NULL WHERE lease = $1 AND status = 'running'";
         self.fenced(sqlx::query(sql).bind(lease.as_str()).bind(now)).boxed()
+    }
+
+    fn retry(&self, id: JobId, now: i64) -> StoreFuture<'_, bool> {
+        self.fenced(sqlx::query(turns::RETRY).bind(id.to_string()).bind(now)).boxed()
     }
 
     fn dismiss(&self, id: JobId, now: i64) -> StoreFuture<'_, bool> {

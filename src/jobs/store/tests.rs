@@ -9,7 +9,9 @@ use sqlx::{Connection, Row};
 use tempfile::TempDir;
 
 use super::*;
-use crate::jobs::{FileName, FormatHint, IdSource, Idempotency, JobSpec, ManualClock, Origin, StoredInput};
+use crate::jobs::{
+    Coding, FileName, FormatHint, IdSource, Idempotency, JobSpec, ManualClock, Origin, Priority, StoredInput,
+};
 use crate::mesh::Units;
 use crate::output::OutputFormat;
 
@@ -56,7 +58,13 @@ fn url(dir: &TempDir) -> String {
 }
 
 fn artifact(id: JobId) -> StoredArtifact {
-    StoredArtifact { format: OutputFormat::Glb, key: format!("{id}/x/glb"), size: 7, sha256: "cd".repeat(32) }
+    StoredArtifact {
+        format: OutputFormat::Glb,
+        key: format!("{id}/x/glb"),
+        size: 7,
+        sha256: "cd".repeat(32),
+        coding: Coding::Zstd,
+    }
 }
 
 #[tokio::test]
@@ -67,6 +75,7 @@ async fn a_job_reads_back_as_it_was_inserted_also_after_reopening() {
     job.id = fixture.ids.next();
     job.spec.name = Some(FileName::new("d'oe\"; DROP TABLE jobs; -- ñ.stl"));
     job.spec.units = Units::Inches;
+    job.spec.priority = Priority::Urgent;
     job.spec.hint = FormatHint { extension: Some("stl".into()), content_type: Some("model/stl".into()) };
     job.spec.parameters.values.insert("omega".into(), 0.1 + 0.2);
     job.spec.origin = Origin { request_id: Some("r'1".into()), client_reference: Some("ñ \"x\"".into()) };

@@ -19,8 +19,14 @@ pub(super) const CLAIM: &str = "UPDATE jobs SET status = 'running', lease = $1, 
             WHEN attempts = 1 THEN NOT EXISTS ( \
                 SELECT 1 FROM jobs AS trial WHERE trial.status = 'running' AND trial.attempts > 1) \
             ELSE TRUE END \
-        ORDER BY id LIMIT 1) \
+        ORDER BY turn, id LIMIT 1) \
     RETURNING *";
+
+/// A failed job waits again: `$1` is its id, `$2` the time. One that was given up after crashes keeps its attempts,
+/// so that it runs alone.
+pub(super) const RETRY: &str = "UPDATE jobs SET status = 'accepted', updated = $2, finished = NULL, started = NULL, \
+    error = NULL, progress = 0, stage = NULL, attempts = CASE WHEN crashes > 0 THEN attempts ELSE 0 END, crashes = 0 \
+    WHERE id = $1 AND status = 'failed' AND purging IS NULL";
 
 /// After the process died: counts a crash for a job that ran alone.
 pub(super) const COUNT: &str = "UPDATE jobs SET crashes = crashes + 1 WHERE status = 'running' \

@@ -68,3 +68,54 @@ async fn a_check_fails_when_the_database_is_locked_away() {
     fixture.store.close().await;
     assert!(fixture.store.check().await.is_err());
 }
+
+#[tokio::test]
+async fn urgent_jobs_go_first_and_pass_nobody_for_ever() {
+    let fixture = Fixture::new().await;
+    let clock = Arc::new(ManualClock::new(0));
+    let ids = IdSource::new(clock.clone(), None);
+    let insert = async |millis: i64, priority: Priority| {
+        clock.set(millis);
+        let id = ids.next();
+        let input = StoredInput { key: "k".into(), size: 1, sha256: "00".into() };
+        let job = Job::accepted(id, input, JobSpec { priority, ..JobSpec::default() }, millis);
+        fixture.store.insert(&job).await.unwrap();
+        id
+    };
+    let minute = 60_000;
+    let old = insert(0, Priority::Normal).await;
+    let first = insert(minute, Priority::Normal).await;
+    let urgent = insert(2 * minute, Priority::Urgent).await;
+    let second = insert(2 * minute, Priority::Urgent).await;
+    // Eleven minutes after the oldest: it has waited long enough.
+    let late = insert(11 * minute - 1, Priority::Urgent).await;
+    let mut order = Vec::new();
+    while let Some(job) = fixture.store.claim(&Lease::new(), 12 * minute).await.unwrap() {
+        order.push(job.id);
+    }
+    assert_eq!(order, [urgent, second, old, late, first]);
+}
+
+#[tokio::test]
+async fn a_retried_job_waits_as_at_first_and_alone_after_crashes() {
+    let fixture = Fixture::new().await;
+    let job = fixture.insert().await;
+    assert!(!fixture.store.retry(job.id, 3_000).await.unwrap(), "it waits already");
+    let (_, lease) = fixture.claim().await;
+    let failure = JobFailure::new("code", 422, "title", "detail");
+    assert!(fixture.store.fail(job.id, &lease, &failure, 2_500).await.unwrap());
+    assert!(fixture.store.retry(job.id, 3_000).await.unwrap());
+    let expected = Job { updated: 3_000, ..job.clone() };
+    assert_eq!(fixture.get(job.id).await, expected, "as it was accepted");
+    for _ in 0..5 {
+        if fixture.store.claim(&Lease::new(), 2_000).await.unwrap().is_some() {
+            fixture.store.recover(3, 2_500).await.unwrap();
+        }
+    }
+    assert_eq!(fixture.get(job.id).await.status, JobStatus::Failed);
+    assert!(fixture.store.retry(job.id, 4_000).await.unwrap());
+    let (again, _) = fixture.claim().await;
+    fixture.insert().await;
+    assert!(again.attempts > 2, "{again:?}");
+    assert_eq!(fixture.store.claim(&Lease::new(), 2_000).await.unwrap(), None, "beside no other");
+}
