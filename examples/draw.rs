@@ -1,8 +1,9 @@
 //! Draws a mesh and the centerline that was extracted from it.
 //!
-//!     cargo run --release --example draw -- MESH RESULT.json PICTURE.png [DEGREES]
+//!     cargo run --release --example draw -- MESH RESULT.json PICTURE.png [DEGREES [PIXELS]]
 //!
-//! An orthographic view along the mesh's shortest axis, turned by DEGREES about the upright one.
+//! An orthographic view along the mesh's shortest axis, turned by DEGREES about the upright one; the longer side
+//! has PIXELS (1600).
 //! The surface is glass; the line's colour is its radius, from blue (thin) to yellow (wide); ends
 //! are white, junctions orange.
 
@@ -17,8 +18,10 @@ use rosaline::mesh::TriangleMesh;
 use rosaline::mesh::format::{Hint, Limits, read};
 use rosaline::output::read_json;
 
-/// Longer side of the picture, and its samples a pixel along each side.
+/// Longer side of the picture in pixels, unless told otherwise.
 const SIZE: usize = 1600;
+
+/// Samples a pixel along each side.
 const SAMPLES: usize = 3;
 
 /// Share of the picture's shorter side that stays free around the vessel.
@@ -37,15 +40,16 @@ type Colour = Vector3<f64>;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().skip(1).collect();
-    let (mesh, result, picture, degrees) = match words.as_slice() {
-        [mesh, result, picture] => (mesh, result, picture, 0.0),
-        [mesh, result, picture, degrees] => (mesh, result, picture, degrees.parse()?),
-        _ => return Err("usage: draw MESH RESULT.json PICTURE.png [DEGREES]".into()),
+    let (mesh, result, picture, degrees, size) = match words.as_slice() {
+        [mesh, result, picture] => (mesh, result, picture, 0.0, SIZE),
+        [mesh, result, picture, degrees] => (mesh, result, picture, degrees.parse()?, SIZE),
+        [mesh, result, picture, degrees, size] => (mesh, result, picture, degrees.parse()?, size.parse()?),
+        _ => return Err("usage: draw MESH RESULT.json PICTURE.png [DEGREES [PIXELS]]".into()),
     };
     let extension = Path::new(mesh).extension().and_then(|text| text.to_str());
     let (mesh, _) = read(&fs::read(mesh)?, Hint { extension, content_type: None }, &Limits::default())?;
     let line = read_json(&fs::read(result)?)?.centerline()?;
-    let camera = Camera::on(&mesh, f64::to_radians(degrees)).ok_or("the mesh has no vertices")?;
+    let camera = Camera::on(&mesh, f64::to_radians(degrees), size).ok_or("the mesh has no vertices")?;
     let mut canvas = Canvas::new(&camera);
     canvas.draw_line(&camera, &line);
     let mut fragments = fragments(&camera, &mesh);
@@ -67,7 +71,7 @@ struct Camera {
 
 impl Camera {
     /// Looks at the whole mesh along its shortest principal axis.
-    fn on(mesh: &TriangleMesh, turn: f64) -> Option<Self> {
+    fn on(mesh: &TriangleMesh, turn: f64, size: usize) -> Option<Self> {
         let count = mesh.vertices.len() as f64;
         let mean: Vector3<f64> =
             mesh.vertices.iter().map(|vertex| vertex.coords).sum::<Vector3<f64>>() / count;
@@ -83,7 +87,7 @@ impl Camera {
         let seen: Vec<_> = mesh.vertices.iter().map(|vertex| axes * vertex.coords).collect();
         let first = *seen.first()?;
         let (low, high) = seen.iter().fold((first, first), |(low, high), at| (low.inf(at), high.sup(at)));
-        let (extent, long) = (high - low, (SIZE * SAMPLES) as f64);
+        let (extent, long) = (high - low, (size * SAMPLES) as f64);
         let scale = long * (1.0 - 2.0 * MARGIN) / extent.x.max(extent.y);
         let side = |extent: f64| {
             let samples = extent * scale + 2.0 * MARGIN * long;
