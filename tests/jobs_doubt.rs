@@ -125,6 +125,14 @@ impl JobStore for Doubtful {
         self.inner.counts()
     }
 
+    fn waiting(&self) -> StoreFuture<'_, u64> {
+        self.inner.waiting()
+    }
+
+    fn active_of<'a>(&'a self, owner: &'a str) -> StoreFuture<'a, u64> {
+        self.inner.active_of(owner)
+    }
+
     fn newest(&self) -> StoreFuture<'_, Option<JobId>> {
         self.inner.newest()
     }
@@ -233,7 +241,7 @@ async fn an_unreadable_newest_row_stops_neither_the_start_nor_the_list_and_can_b
     sqlx::query(spoil).execute(&mut store).await.unwrap();
 
     let service = JobService::open(settings(dir.path(), 1), script).await.unwrap();
-    let page = service.list(ListQuery { status: None, before: None, limit: 10 }).await.unwrap();
+    let page = service.list(ListQuery { owner: None, status: None, before: None, limit: 10 }).await.unwrap();
     assert_eq!(page.jobs.iter().map(|job| job.id).collect::<Vec<_>>(), jobs[..1]);
     assert!(submit(&service, "ok").await.id > jobs[1], "ids go on from it");
     assert_eq!(service.remove(jobs[1]).await.unwrap(), Removed::Purged);

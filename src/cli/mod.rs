@@ -4,6 +4,7 @@ mod compare;
 mod extract;
 mod files;
 mod health;
+mod keys;
 mod openapi;
 mod parameters;
 mod phantom;
@@ -34,6 +35,8 @@ enum Command {
     Compare(compare::Args),
     /// Make a vessel mesh from a known centerline.
     Phantom(phantom::Args),
+    /// Say who may use the service.
+    Keys(keys::Args),
     /// Ask a running service whether it is ready: exit code 0 when it is.
     Health(health::Args),
     /// Print the OpenAPI document of the service.
@@ -92,6 +95,7 @@ fn run(cli: Cli) -> Result<(), Failure> {
         Command::Extract(args) => extract::run(args),
         Command::Compare(args) => compare::run(args),
         Command::Phantom(args) => phantom::run(args),
+        Command::Keys(args) => keys::run(args),
         Command::Health(args) => health::run(args),
         Command::Openapi(args) => openapi::run(args),
     }

@@ -4,6 +4,7 @@ mod args;
 
 use std::future::Future;
 use std::io::Write;
+use std::net::SocketAddr;
 use std::sync::Arc;
 
 use tokio::net::TcpListener;
@@ -11,6 +12,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
 use super::Failure;
+use crate::http::access::KeyRing;
 use crate::http::{self, App, Limits};
 use crate::jobs::extraction::Extraction;
 use crate::jobs::{JobService, Settings, TooManyWorkers, log_panics_without_text};
@@ -43,10 +45,16 @@ async fn serve(args: Args) -> Result<(), Failure> {
         upload_idle: args.upload_idle.0,
         head: args.head_timeout.0,
         validations: args.validations.get(),
+        uploads: args.max_uploads.get(),
+        queue: args.max_queue.get(),
+        jobs_per_principal: args.max_jobs_each.get(),
+        run: args.max_run.0,
         ..Limits::default()
     };
+    let keys = KeyRing::open(args.keys.clone().unwrap_or_else(|| args.data.join("keys.json")))?;
+    check_open(address, &keys, args.insecure)?;
     let jobs = JobService::open(settings(&args)?, Arc::new(Extraction::new(limits.mesh))).await?;
-    let app = App::new(jobs, limits)?;
+    let app = App::new(jobs, limits, Some(keys))?;
     // For people and for scripts that asked for port 0; a closed stdout leaves nobody to tell.
     let _ = writeln!(std::io::stdout(), "listening on http://{address}");
     tracing::info!(%address, "ready");
@@ -55,8 +63,25 @@ async fn serve(args: Args) -> Result<(), Failure> {
     Ok(())
 }
 
+/// Refuses to let others in without authentication, unless that is asked for.
+fn check_open(address: SocketAddr, keys: &KeyRing, insecure: bool) -> Result<(), Failure> {
+    let is_local = address.ip().to_canonical().is_loopback();
+    if keys.is_closed() {
+        return Ok(());
+    }
+    if !is_local && !insecure {
+        return Err(Failure::new(format!(
+            "on {address} others could use this service, and no key is needed for it: make one with 'rosaline keys \
+             add NAME --scope submit,read', listen on 127.0.0.1, or let everybody in with --insecure"
+        )));
+    }
+    tracing::warn!(%address, "no key is needed: whoever reaches this address may see, make and delete every job");
+    Ok(())
+}
+
 fn settings(args: &Args) -> Result<Settings, TooManyWorkers> {
-    let settings = Settings { max_crashes: args.max_crashes, ..Settings::new(&args.data) };
+    let settings =
+        Settings { max_crashes: args.max_crashes, run_limit: args.max_run.0, ..Settings::new(&args.data) };
     settings.on(args.threads, args.workers)
 }
 

@@ -15,8 +15,9 @@ use super::prefer::{PREFER, PREFERENCE_APPLIED};
 const PREFLIGHT_AGE: Duration = Duration::from_secs(2 * 60 * 60);
 
 /// The request headers that the API reads, beside those that Fetch always allows.
-pub const REQUEST_HEADERS: [HeaderName; 11] = [
+pub const REQUEST_HEADERS: [HeaderName; 12] = [
     header::ACCEPT,
+    header::AUTHORIZATION,
     header::CONTENT_TYPE,
     LAST_EVENT_ID,
     header::IF_MATCH,
@@ -30,8 +31,9 @@ pub const REQUEST_HEADERS: [HeaderName; 11] = [
 ];
 
 /// The response headers that a script may read, beside those that Fetch always exposes.
-pub const RESPONSE_HEADERS: [HeaderName; 11] = [
+pub const RESPONSE_HEADERS: [HeaderName; 12] = [
     header::ACCEPT_RANGES,
+    header::WWW_AUTHENTICATE,
     header::ALLOW,
     header::CONTENT_ENCODING,
     header::CONTENT_LENGTH,

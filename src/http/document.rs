@@ -8,6 +8,7 @@ mod responses;
 
 use utoipa::OpenApi;
 use utoipa::openapi::path::{Operation, PathItem};
+use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{Info, License, RefOr, Tag};
 
 use super::{limits, problem, representation, router};
@@ -19,13 +20,16 @@ pub use parameters::{
     ListParameters, OriginHeaders, PreferHeader, SubmitQuery,
 };
 pub use problems::{
-    DeleteProblems, JobProblems, ListProblems, NegotiatedProblems, ReadyProblems, ResultProblems,
-    RetryProblems, SubmitProblems,
+    DeleteProblems, JobProblems, LimitsProblems, ListProblems, NegotiatedProblems, ReadyProblems,
+    ResultProblems, RetryProblems, SubmitProblems,
 };
 pub use responses::{
     AnyResult, Created, Deleted, Document, Events, GlbResult, GltfResult, Healthy, JsonResult, LimitsAnswer,
     List, Retried, Status,
 };
+
+/// The security scheme of API keys.
+const KEY: &str = "key";
 
 // Tags.
 pub const JOBS: &str = "jobs";
@@ -49,12 +53,15 @@ struct Schemas;
 pub fn base() -> utoipa::openapi::OpenApi {
     let mut document = Schemas::openapi();
     document.info = info();
+    // Either none, where the operator made no key, or one.
+    document.security = Some(vec![SecurityRequirement::default(), SecurityRequirement::new(KEY, [""; 0])]);
     document.tags = Some(vec![
         tag(JOBS, "Meshes in, jobs out"),
         tag(RESULTS, "Centerlines"),
         tag(SERVICE, "The service itself"),
     ]);
     if let Some(components) = &mut document.components {
+        components.add_security_scheme(KEY, SecurityScheme::Http(Http::new(HttpAuthScheme::Bearer)));
         components.schemas.insert(body::PARAMETERS.to_owned(), RefOr::T(body::parameters_schema()));
     }
     document

@@ -35,8 +35,10 @@ impl InFlight {
     ///
     /// # Errors
     /// 400 when the header is no key, 409 while another request with this key is under way.
-    pub fn claim(&self, headers: &HeaderMap) -> Result<Option<Claim>, Problem> {
+    pub fn claim(&self, headers: &HeaderMap, owner: Option<&str>) -> Result<Option<Claim>, Problem> {
         let Some(key) = key(headers)? else { return Ok(None) };
+        // Two principals may use one key; neither a name nor a key has a slash.
+        let key = owner.map_or(key.clone(), |owner| format!("{owner}/{key}"));
         if !self.keys().insert(key.clone()) {
             return Err(in_flight());
         }
@@ -113,12 +115,16 @@ mod tests {
     #[test]
     fn a_key_is_held_by_one_request_at_a_time() {
         let keys = InFlight::default();
-        let first = keys.claim(&headers("a-1")).unwrap();
-        assert_eq!(keys.claim(&headers("\"a-1\"")).err().map(|problem| problem.status().as_u16()), Some(409));
-        assert!(keys.claim(&headers("a-2")).unwrap().is_some());
+        let first = keys.claim(&headers("a-1"), None).unwrap();
+        assert_eq!(
+            keys.claim(&headers("\"a-1\""), None).err().map(|problem| problem.status().as_u16()),
+            Some(409)
+        );
+        assert!(keys.claim(&headers("a-2"), None).unwrap().is_some());
+        assert!(keys.claim(&headers("a-1"), Some("pacs")).unwrap().is_some(), "another's");
         drop(first);
-        assert!(keys.claim(&headers("a-1")).unwrap().is_some());
-        assert!(keys.claim(&HeaderMap::new()).unwrap().is_none());
+        assert!(keys.claim(&headers("a-1"), None).unwrap().is_some());
+        assert!(keys.claim(&HeaderMap::new(), None).unwrap().is_none());
     }
 
     #[test]

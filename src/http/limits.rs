@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use crate::jobs::RUN_LIMIT;
 use crate::mesh::format;
 
 /// Bytes of an upload that must come within its idle time: a byte now and then does not keep it alive.
@@ -21,6 +22,14 @@ pub struct Limits {
     /// Meshes that are checked at the same time; further uploads wait their turn on disk. Each takes one copy of
     /// its file in memory and the mesh that is read from it, so this bounds the memory of any number of uploads.
     pub validations: usize,
+    /// Uploads that may come in at the same time.
+    pub uploads: usize,
+    /// Jobs that may wait.
+    pub queue: u64,
+    /// Jobs of one principal that may wait or run.
+    pub jobs_per_principal: u64,
+    /// How long one run of a job may take.
+    pub run: Duration,
     /// The largest mesh that is read.
     pub mesh: format::Limits,
     /// The longest that `Prefer: wait` is honoured.
@@ -43,6 +52,10 @@ impl Default for Limits {
             upload_idle: Duration::from_secs(30),
             head: Duration::from_secs(30),
             validations: 2,
+            uploads: 256,
+            queue: 100_000,
+            jobs_per_principal: 10_000,
+            run: RUN_LIMIT,
             mesh: format::Limits::default(),
             wait: Duration::from_secs(60),
             page_default: 50,

@@ -4,6 +4,8 @@
 //! waiting from RFC 7240, conditions, ranges and negotiation from RFC 9110. The async threads never compute:
 //! meshes are checked on the threads of [`validation`], jobs run on the workers' pools.
 
+pub mod access;
+mod admission;
 mod coding;
 mod connections;
 mod cors;

@@ -10,7 +10,7 @@ use utoipa_axum::routes;
 
 use super::operations::{delete, events, health, limits, list, openapi, result, retry, status, submit};
 use super::problem::{INTERNAL_ERROR, METHOD_NOT_ALLOWED, NOT_FOUND, Problem};
-use super::{App, cors, document, lingering, trace};
+use super::{App, access, cors, document, lingering, trace};
 
 /// Every route; each brings its own part of the document.
 pub fn routes() -> OpenApiRouter<App> {
@@ -33,7 +33,8 @@ pub fn routes() -> OpenApiRouter<App> {
 pub fn router(app: App) -> Router {
     let (router, _) = routes().split_for_parts();
     let router = router.fallback(not_found).method_not_allowed_fallback(method_not_allowed);
-    wrapped(router.with_state(app))
+    let admitted = middleware::from_fn_with_state(app.clone(), access::admit);
+    wrapped(router.with_state(app).layer(admitted))
 }
 
 /// What stands around every route.

@@ -3,8 +3,10 @@
 use std::sync::Arc;
 
 use rayon::ThreadPoolBuildError;
+use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
+use super::access::KeyRing;
 use super::idempotency::InFlight;
 use super::limits::Limits;
 use super::validation::Validator;
@@ -19,19 +21,29 @@ struct Inner {
     limits: Limits,
     validator: Validator,
     in_flight: InFlight,
+    uploads: Arc<Semaphore>,
+    keys: Option<KeyRing>,
     closing: CancellationToken,
 }
 
 impl App {
+    /// Without `keys`, whoever reaches the service may do everything.
+    ///
     /// # Errors
     /// When the threads that check meshes cannot be started.
-    pub fn new(jobs: Arc<JobService>, limits: Limits) -> Result<Self, ThreadPoolBuildError> {
+    pub fn new(
+        jobs: Arc<JobService>,
+        limits: Limits,
+        keys: Option<KeyRing>,
+    ) -> Result<Self, ThreadPoolBuildError> {
         let validator = Validator::new(&limits)?;
         Ok(Self(Arc::new(Inner {
             jobs,
             limits,
             validator,
             in_flight: InFlight::default(),
+            uploads: Arc::new(Semaphore::new(limits.uploads)),
+            keys,
             closing: CancellationToken::new(),
         })))
     }
@@ -46,6 +58,15 @@ impl App {
 
     pub(super) fn validator(&self) -> &Validator {
         &self.0.validator
+    }
+
+    pub(super) fn keys(&self) -> Option<&KeyRing> {
+        self.0.keys.as_ref()
+    }
+
+    /// A place for each upload that may come in at the same time.
+    pub(super) fn uploads(&self) -> &Arc<Semaphore> {
+        &self.0.uploads
     }
 
     pub(super) fn in_flight(&self) -> &InFlight {

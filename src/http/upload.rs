@@ -31,6 +31,8 @@ pub struct Received {
     pub upload: Upload,
     pub asked: Asked,
     pub hint: FormatHint,
+    /// Whom the job will belong to.
+    pub owner: Option<String>,
 }
 
 /// Streams the request's mesh to disk.
@@ -54,7 +56,7 @@ pub async fn receive(app: &App, request: Request) -> Result<Received, Problem> {
     let upload = body::store(app, request.into_body()).await?;
     digest::check(expected.as_deref(), upload.sha256())?;
     let hint = FormatHint { extension: None, content_type: Some(content_type) };
-    Ok(Received { upload, asked, hint })
+    Ok(Received { upload, asked, hint, owner: None })
 }
 
 /// The essence of `Content-Type`, in lower case; a body without one is taken by its content.

@@ -21,8 +21,15 @@ pub struct JobFailure {
 impl JobFailure {
     /// The codes of the failures below, whatever the mesh: what a job may fail with beside its reader's and its
     /// method's errors.
-    pub const CODES: [&str; 6] =
-        ["internal-error", "crashed", "input-lost", "unreadable-job", "stale-parameters", "result-too-large"];
+    pub const CODES: [&str; 7] = [
+        "time-limit",
+        "internal-error",
+        "crashed",
+        "input-lost",
+        "unreadable-job",
+        "stale-parameters",
+        "result-too-large",
+    ];
 
     pub fn new(code: &str, status: u16, title: &str, detail: impl Into<String>) -> Self {
         Self { code: code.to_owned(), status, title: title.to_owned(), detail: detail.into() }
@@ -49,6 +56,12 @@ impl JobFailure {
                  is not tried again"
             ),
         )
+    }
+
+    /// The run took longer than one may.
+    pub fn out_of_time(seconds: u64) -> Self {
+        let detail = format!("one run may take {seconds} s; send a coarser mesh, or raise the limit");
+        Self::new("time-limit", 422, "The extraction took too long", detail)
     }
 
     /// The stored input cannot be read.

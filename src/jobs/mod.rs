@@ -50,5 +50,5 @@ pub use panics::log_panics_without_text;
 pub use priority::{Priority, UnknownPriority};
 pub use removal::Removed;
 pub use service::{JobService, Upload};
-pub use settings::{MAX_CRASHES, Settings, TooManyWorkers};
+pub use settings::{MAX_CRASHES, RUN_LIMIT, Settings, TooManyWorkers};
 pub use storage::Storage;

@@ -169,6 +169,8 @@ pub struct JobSpec {
     pub origin: Origin,
     pub idempotency: Option<Idempotency>,
     pub priority: Priority,
+    /// The principal that the job belongs to; none where there is no authentication.
+    pub owner: Option<String>,
 }
 
 impl Default for JobSpec {
@@ -182,6 +184,7 @@ impl Default for JobSpec {
             origin: Origin::default(),
             idempotency: None,
             priority: Priority::default(),
+            owner: None,
         }
     }
 }

@@ -242,6 +242,16 @@ impl JobService {
         Ok(Page { jobs, next: page.next })
     }
 
+    /// Waiting jobs.
+    pub async fn waiting(&self) -> Result<u64, JobError> {
+        Ok(self.shared.store.waiting().await?)
+    }
+
+    /// Active jobs of `owner`.
+    pub async fn active_of(&self, owner: &str) -> Result<u64, JobError> {
+        Ok(self.shared.store.active_of(owner).await?)
+    }
+
     pub async fn counts(&self) -> Result<Counts, JobError> {
         Ok(self.shared.store.counts().await?)
     }

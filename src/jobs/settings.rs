@@ -7,6 +7,9 @@ use std::time::Duration;
 /// Crashes of a job that ran alone after which it is given up. The `unwrap` is tried when this is compiled.
 pub const MAX_CRASHES: NonZeroU32 = NonZeroU32::new(3).unwrap();
 
+/// How long one run of a job may take, where nothing else is set.
+pub const RUN_LIMIT: Duration = Duration::from_secs(60 * 60);
+
 /// Settings of [`super::JobService`].
 #[derive(Debug, Clone)]
 pub struct Settings {
@@ -18,6 +21,8 @@ pub struct Settings {
     pub threads_per_worker: NonZeroUsize,
     /// Deaths of the process while a job runs alone after which that job is failed instead of run again.
     pub max_crashes: NonZeroU32,
+    /// How long one run of a job may take before the job is failed.
+    pub run_limit: Duration,
     /// How often an idle worker looks into the store although nobody woke it.
     pub poll: Duration,
     /// How often the service looks after its data folder.
@@ -45,6 +50,7 @@ impl Settings {
             workers,
             threads_per_worker,
             max_crashes: MAX_CRASHES,
+            run_limit: RUN_LIMIT,
             poll: Duration::from_secs(5),
             housekeeping: Duration::from_secs(60),
             flush: Duration::from_secs(1),

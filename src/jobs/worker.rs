@@ -60,6 +60,8 @@ enum Outcome {
     Panicked,
     /// It does not obey its cancellation; ready when it ends.
     Stuck(oneshot::Receiver<Outcome>),
+    /// It took longer than a run may; where it goes on all the same, ready when it ends.
+    OutOfTime(Option<oneshot::Receiver<Outcome>>),
 }
 
 /// Waits that grow, between tries of something that should come right by itself.
@@ -247,6 +249,9 @@ impl Worker {
             outcome = &mut answered => Some(outcome.unwrap_or(Outcome::Panicked)),
             () = flush(&shared, job, lease, entry) => None,
             () = overdue(self.phase.clone(), entry) => None,
+            () = tokio::time::sleep(shared.settings.run_limit) => {
+                return out_of_time(entry, answered).await;
+            }
         };
         outcome.unwrap_or(Outcome::Stuck(answered))
     }
@@ -273,6 +278,12 @@ impl Worker {
             Outcome::Panicked => {
                 tracing::error!(seconds, "panicked");
                 self.fail(job, lease, entry, JobFailure::panicked()).await;
+            }
+            Outcome::OutOfTime(run) => {
+                tracing::warn!(seconds, "out of time");
+                let limit = self.shared.settings.run_limit.as_secs();
+                self.fail(job, lease, entry, JobFailure::out_of_time(limit)).await;
+                return run;
             }
             Outcome::Answered(_) => self.abandon(job, lease).await,
             Outcome::Stuck(run) => {
@@ -329,6 +340,15 @@ fn pool(settings: &Settings, number: usize) -> Result<ThreadPool, ThreadPoolBuil
         .thread_name(move |thread| format!("worker-{number}-{thread}"))
         .stack_size(STACK)
         .build()
+}
+
+/// Stops a run that took too long, and waits a while for it to obey.
+async fn out_of_time(entry: &Entry, mut answered: oneshot::Receiver<Outcome>) -> Outcome {
+    entry.cancel.cancel();
+    match tokio::time::timeout(STOP_WITHIN, &mut answered).await {
+        Ok(_) => Outcome::OutOfTime(None),
+        Err(_) => Outcome::OutOfTime(Some(answered)),
+    }
 }
 
 /// Ready when a run goes on although it was dismissed, or although the service stops.

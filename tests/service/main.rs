@@ -12,12 +12,14 @@ mod service;
 #[path = "../common/small_disk.rs"]
 mod small_disk;
 
+mod admission;
 mod bombs;
 mod busy;
 mod changes;
 mod deletion;
 mod dry_run;
 mod events;
+mod keys;
 mod listing;
 mod refusals;
 mod resend;

@@ -1,6 +1,6 @@
 //! The service's settings: flags, or environment variables of the same name.
 
-use std::num::{NonZeroU32, NonZeroUsize};
+use std::num::{NonZeroU32, NonZeroU64, NonZeroUsize};
 use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
@@ -31,6 +31,25 @@ pub struct Args {
     /// Uploads that are read and checked at the same time; each takes its file's size and its mesh in memory.
     #[arg(long, env = "ROSALINE_VALIDATIONS", default_value = "2", value_name = "N")]
     pub validations: NonZeroUsize,
+    /// File of the API keys, which `rosaline keys` makes [default: keys.json in the data folder]. Where there is one,
+    /// every request needs a key.
+    #[arg(long, env = "ROSALINE_KEYS", value_name = "FILE")]
+    pub keys: Option<PathBuf>,
+    /// Listen on an address that others can reach although no key is needed.
+    #[arg(long, env = "ROSALINE_INSECURE")]
+    pub insecure: bool,
+    /// Uploads that may come in at the same time.
+    #[arg(long, env = "ROSALINE_MAX_UPLOADS", default_value = "256", value_name = "N")]
+    pub max_uploads: NonZeroUsize,
+    /// Jobs that may wait.
+    #[arg(long, env = "ROSALINE_MAX_QUEUE", default_value = "100000", value_name = "N")]
+    pub max_queue: NonZeroU64,
+    /// Jobs of one principal that may wait or run.
+    #[arg(long, env = "ROSALINE_MAX_JOBS_EACH", default_value = "10000", value_name = "N")]
+    pub max_jobs_each: NonZeroU64,
+    /// How long one run of a job may take.
+    #[arg(long, env = "ROSALINE_MAX_RUN", default_value = "60m", value_name = "TIME")]
+    pub max_run: Span,
     /// How long an upload may stand still, in seconds or with s or m, before it is given up.
     #[arg(long, env = "ROSALINE_UPLOAD_IDLE", default_value = "30s", value_name = "TIME")]
     pub upload_idle: Span,

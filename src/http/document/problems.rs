@@ -26,31 +26,34 @@ macro_rules! problems {
 
 problems! {
     /// Of `POST /v1/jobs`.
-    SubmitProblems => [
-        MALFORMED_REQUEST, UNKNOWN_PARAMETER, INVALID_PARAMETER, UPLOAD_INCOMPLETE, DIGEST_MISMATCH, EMPTY, TRUNCATED, MALFORMED,
+    SubmitProblems => [UNAUTHENTICATED, FORBIDDEN, MALFORMED_REQUEST, UNKNOWN_PARAMETER, INVALID_PARAMETER, UPLOAD_INCOMPLETE, DIGEST_MISMATCH, EMPTY, TRUNCATED, MALFORMED,
         UPLOAD_TIMEOUT, IDEMPOTENCY_IN_FLIGHT, IDEMPOTENCY_KEY_REUSED, UPLOAD_TOO_LARGE, MESH_TOO_LARGE, UNSUPPORTED_MEDIA_TYPE, UNSUPPORTED_CODING, UNSUPPORTED_FORMAT,
-        NON_FINITE_COORDINATE, INDEX_OUT_OF_RANGE, NO_POLYGONS, UNSUPPORTED_FEATURE, NOT_READY, STORAGE_UNAVAILABLE, STORAGE_FULL,
+        NON_FINITE_COORDINATE, INDEX_OUT_OF_RANGE, NO_POLYGONS, UNSUPPORTED_FEATURE, TOO_MANY_JOBS, QUEUE_FULL, TOO_MANY_UPLOADS, NOT_READY, STORAGE_UNAVAILABLE, STORAGE_FULL,
     ];
     /// Of `GET /v1/jobs`.
-    ListProblems => [MALFORMED_REQUEST, UNKNOWN_PARAMETER, INVALID_PARAMETER, STORAGE_UNAVAILABLE];
+    ListProblems => [UNAUTHENTICATED, FORBIDDEN, MALFORMED_REQUEST, UNKNOWN_PARAMETER, INVALID_PARAMETER, STORAGE_UNAVAILABLE];
     /// Of one job.
-    JobProblems => [JOB_NOT_FOUND, STORAGE_UNAVAILABLE];
+    JobProblems => [UNAUTHENTICATED, FORBIDDEN, JOB_NOT_FOUND, STORAGE_UNAVAILABLE];
     /// Of `DELETE`.
-    DeleteProblems => [JOB_NOT_FOUND, PRECONDITION_FAILED, STORAGE_UNAVAILABLE, STORAGE_FULL];
+    DeleteProblems => [UNAUTHENTICATED, FORBIDDEN, JOB_NOT_FOUND, PRECONDITION_FAILED, STORAGE_UNAVAILABLE, STORAGE_FULL];
     /// Of `POST /v1/jobs/{id}/retry`.
-    RetryProblems => [JOB_NOT_FOUND, NOT_RETRYABLE, JOB_PURGED, NOT_READY, STORAGE_UNAVAILABLE, STORAGE_FULL];
+    RetryProblems => [UNAUTHENTICATED, FORBIDDEN, JOB_NOT_FOUND, NOT_RETRYABLE, JOB_PURGED, NOT_READY, STORAGE_UNAVAILABLE, STORAGE_FULL];
     /// Of a result with an extension. A failed job answers with its own failure.
-    ResultProblems => [
-        JOB_NOT_FOUND, JOB_PURGED, RESULT_NOT_READY, JOB_DISMISSED, STORAGE_UNAVAILABLE, RANGE_NOT_SATISFIABLE, FAILED_JOB_EXAMPLE,
+    ResultProblems => [UNAUTHENTICATED, FORBIDDEN, JOB_NOT_FOUND, JOB_PURGED, RESULT_NOT_READY, JOB_DISMISSED, STORAGE_UNAVAILABLE, RANGE_NOT_SATISFIABLE, FAILED_JOB_EXAMPLE,
     ];
     /// Of a result by `Accept`.
-    NegotiatedProblems => [
-        JOB_NOT_FOUND, JOB_PURGED, RESULT_NOT_READY, JOB_DISMISSED, STORAGE_UNAVAILABLE, NOT_ACCEPTABLE, RANGE_NOT_SATISFIABLE,
+    NegotiatedProblems => [UNAUTHENTICATED, FORBIDDEN, JOB_NOT_FOUND, JOB_PURGED, RESULT_NOT_READY, JOB_DISMISSED, STORAGE_UNAVAILABLE, NOT_ACCEPTABLE, RANGE_NOT_SATISFIABLE,
         FAILED_JOB_EXAMPLE,
     ];
+    /// Of `GET /v1/limits`.
+    LimitsProblems => [UNAUTHENTICATED, FORBIDDEN];
     /// Of `GET /readyz`.
     ReadyProblems => [NOT_READY];
 }
+
+/// Those that may go better later.
+const LATER: [Kind; 6] =
+    [NOT_READY, STORAGE_UNAVAILABLE, IDEMPOTENCY_IN_FLIGHT, TOO_MANY_JOBS, QUEUE_FULL, TOO_MANY_UPLOADS];
 
 /// A failed job's result answers with the failure that the job's status has as `error`.
 const FAILED_JOB_EXAMPLE: Kind = Kind {
@@ -88,13 +91,14 @@ fn response(kinds: &[&Kind]) -> Response {
     let mut response = ResponseBuilder::new().description(titles.join("; ")).content(MEDIA_TYPE, content);
     for kind in kinds {
         response = match *kind {
+            kind if *kind == UNAUTHENTICATED => response.header("WWW-Authenticate", header("`Bearer`")),
             kind if *kind == UNSUPPORTED_MEDIA_TYPE => {
                 response.header("Accept", header("What to send instead"))
             }
             kind if *kind == RANGE_NOT_SATISFIABLE => {
                 response.header("Content-Range", header("The length of the result: `bytes */1234`"))
             }
-            kind if [NOT_READY, STORAGE_UNAVAILABLE, IDEMPOTENCY_IN_FLIGHT].contains(kind) => {
+            kind if LATER.contains(kind) => {
                 response.header("Retry-After", header("Seconds after which to try again"))
             }
             kind if *kind == RESULT_NOT_READY => {

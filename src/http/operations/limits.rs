@@ -8,7 +8,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::super::App;
-use super::super::document;
+use super::super::document::{self, LimitsProblems};
 use super::super::limits::Limits;
 use crate::mesh::format;
 
@@ -37,6 +37,14 @@ pub struct LimitsDocument {
     head_seconds: u64,
     /// Meshes that are checked at the same time.
     validations: usize,
+    /// Uploads that may come in at the same time; more get a 503.
+    uploads: usize,
+    /// Jobs that may wait; more get a 503.
+    queue: u64,
+    /// Jobs of one principal that may wait or run; more get a 429.
+    jobs_per_principal: u64,
+    /// Seconds that one run of a job may take.
+    run_seconds: u64,
     /// Seconds that `Prefer: wait` is honoured at most.
     wait_seconds: u64,
     /// Jobs on one page of the list at most.
@@ -60,6 +68,10 @@ impl From<&Limits> for LimitsDocument {
             upload_idle_seconds: limits.upload_idle.as_secs(),
             head_seconds: limits.head.as_secs(),
             validations: limits.validations,
+            uploads: limits.uploads,
+            queue: limits.queue,
+            jobs_per_principal: limits.jobs_per_principal,
+            run_seconds: limits.run.as_secs(),
             wait_seconds: limits.wait.as_secs(),
             page: limits.page_most,
             name_chars: limits.name_chars,
@@ -74,7 +86,7 @@ impl From<&Limits> for LimitsDocument {
     path = "/v1/limits",
     operation_id = "getLimits",
     tag = document::SERVICE,
-    responses(document::LimitsAnswer)
+    responses(document::LimitsAnswer, LimitsProblems)
 )]
 pub async fn limits(State(app): State<App>) -> Response {
     ([(header::CACHE_CONTROL, "no-cache")], Json(LimitsDocument::from(app.limits()))).into_response()

@@ -6,6 +6,7 @@ use axum::http::{HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 
 use super::super::App;
+use super::super::access::Caller;
 use super::super::document::{self, ListProblems};
 use super::super::limits::Limits;
 use super::super::problem::{INVALID_PARAMETER, Problem, UNKNOWN_PARAMETER};
@@ -26,9 +27,10 @@ use crate::jobs::store::ListQuery;
     params(document::ListParameters),
     responses(document::List, ListProblems)
 )]
-pub async fn list(State(app): State<App>, request: Request) -> Result<Response, Problem> {
-    let query = read(&query_pairs(&request)?, app.limits())?;
-    let page = app.jobs().list(query).await?;
+pub async fn list(State(app): State<App>, caller: Caller, request: Request) -> Result<Response, Problem> {
+    let owner = caller.bound_to().map(str::to_owned);
+    let query = ListQuery { owner, ..read(&query_pairs(&request)?, app.limits())? };
+    let page = app.jobs().list(query.clone()).await?;
     let next = page.next.map(|cursor| next_path(&query, cursor));
     let document = ListDocument {
         jobs: page.jobs.iter().map(StatusDocument::from).collect(),
@@ -43,7 +45,7 @@ pub async fn list(State(app): State<App>, request: Request) -> Result<Response, 
 }
 
 fn read(pairs: &[(String, String)], limits: &Limits) -> Result<ListQuery, Problem> {
-    let mut query = ListQuery { status: None, before: None, limit: limits.page_default };
+    let mut query = ListQuery { limit: limits.page_default, ..ListQuery::default() };
     for (place, (name, value)) in pairs.iter().enumerate() {
         let invalid =
             |detail: String| Problem::new(&INVALID_PARAMETER, detail).with("parameter", name.as_str());

@@ -7,11 +7,12 @@ use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
+use super::super::access::Caller;
 use super::super::document::{self, SubmitProblems};
 use super::super::idempotency::{self, Claim};
 use super::super::representation::{StatusDocument, job_path};
 use super::super::upload::{self, Received};
-use super::super::{App, Problem, prefer};
+use super::super::{App, Problem, admission, prefer};
 use super::status::{RETRY_AFTER, tagged};
 use crate::jobs::{FormatHint, Job, JobSpec, Origin, ParameterValues};
 
@@ -37,11 +38,15 @@ pub const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
     params(document::SubmitQuery, document::PreferHeader, document::OriginHeaders),
     responses(document::Created, SubmitProblems)
 )]
-pub async fn submit(State(app): State<App>, request: Request) -> Result<Response, Problem> {
+pub async fn submit(State(app): State<App>, caller: Caller, request: Request) -> Result<Response, Problem> {
     let wait = prefer::wait(request.headers(), app.limits().wait);
     let request_id = request_id(request.headers(), app.limits().reference_chars);
-    let claim = app.in_flight().claim(request.headers())?;
-    let received = upload::receive(&app, request).await?;
+    let claim = app.in_flight().claim(request.headers(), caller.owner())?;
+    admission::room(&app, &caller).await?;
+    let place = admission::place(&app)?;
+    let mut received = upload::receive(&app, request).await?;
+    drop(place);
+    received.owner = caller.owner().map(str::to_owned);
     if received.asked.dry_run {
         return inspect(&app, received).await;
     }
@@ -69,7 +74,7 @@ async fn accept(
     request_id: Option<String>,
     claim: Option<&Claim>,
 ) -> Result<Job, Problem> {
-    let Received { upload, asked, hint } = received;
+    let Received { upload, asked, hint, owner } = received;
     let mut spec = JobSpec {
         hint: FormatHint::default(),
         name: asked.name,
@@ -78,6 +83,7 @@ async fn accept(
         origin: Origin { request_id, client_reference: asked.client_reference },
         idempotency: None,
         priority: asked.priority,
+        owner,
     };
     if let Some(claim) = claim {
         let request = claim.of(&spec, upload.sha256());

@@ -19,6 +19,8 @@ kinds! {
     MALFORMED_REQUEST = BAD_REQUEST, "malformed-request", "The request cannot be read";
     UNKNOWN_PARAMETER = BAD_REQUEST, "unknown-parameter", "There is no such parameter";
     INVALID_PARAMETER = BAD_REQUEST, "invalid-parameter", "A parameter has a value that it cannot take";
+    UNAUTHENTICATED = UNAUTHORIZED, "unauthenticated", "The request has no valid key";
+    FORBIDDEN = FORBIDDEN, "forbidden", "The key does not allow this";
     UPLOAD_INCOMPLETE = BAD_REQUEST, "upload-incomplete", "The upload broke off";
     DIGEST_MISMATCH = BAD_REQUEST, "digest-mismatch", "The body is not the one that its digest is of";
     NOT_RETRYABLE = CONFLICT, "not-retryable", "The job did not fail";
@@ -54,7 +56,10 @@ kinds! {
     UNSUPPORTED_FEATURE = UNPROCESSABLE_ENTITY, "unsupported-feature",
         "The mesh file uses a feature that is not read";
     MESH_TOO_LARGE = PAYLOAD_TOO_LARGE, "too-large", "The mesh is larger than the limits";
+    TOO_MANY_JOBS = TOO_MANY_REQUESTS, "too-many-jobs", "The caller has as many active jobs as it may";
     // The service.
+    QUEUE_FULL = SERVICE_UNAVAILABLE, "queue-full", "As many jobs wait as may";
+    TOO_MANY_UPLOADS = SERVICE_UNAVAILABLE, "too-many-uploads", "As many uploads come in as may";
     INTERNAL_ERROR = INTERNAL_SERVER_ERROR, "internal-error", "The service failed";
     NOT_READY = SERVICE_UNAVAILABLE, "not-ready", "The service is not ready for work";
     STORAGE_UNAVAILABLE = SERVICE_UNAVAILABLE, "storage-unavailable",

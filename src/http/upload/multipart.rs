@@ -69,7 +69,7 @@ async fn parts(
     };
     let mut asked = Asked::from_pairs(&pairs, app.limits())?;
     asked.name = asked.name.or(mesh.name);
-    Ok(Received { upload: mesh.upload, asked, hint: mesh.hint })
+    Ok(Received { upload: mesh.upload, asked, hint: mesh.hint, owner: None })
 }
 
 async fn next_field<'a>(app: &App, multipart: &'a mut Multipart) -> Result<Option<Field<'a>>, Problem> {

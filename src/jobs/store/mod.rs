@@ -40,8 +40,10 @@ pub enum StoreError {
 pub type StoreFuture<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// Which jobs, newest first.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ListQuery {
+    /// Only jobs of this owner.
+    pub owner: Option<String>,
     pub status: Option<JobStatus>,
     /// Only jobs older than this one: the `next` of the page before.
     pub before: Option<JobId>,
@@ -148,6 +150,12 @@ pub trait JobStore: Send + Sync + 'static {
     fn recover(&self, max_crashes: u32, now: i64) -> StoreFuture<'_, Recovered>;
 
     fn counts(&self) -> StoreFuture<'_, Counts>;
+
+    /// How many jobs wait.
+    fn waiting(&self) -> StoreFuture<'_, u64>;
+
+    /// How many jobs of this owner wait or run.
+    fn active_of<'a>(&'a self, owner: &'a str) -> StoreFuture<'a, u64>;
 
     fn newest(&self) -> StoreFuture<'_, Option<JobId>>;
 

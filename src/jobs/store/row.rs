@@ -92,6 +92,7 @@ pub(super) fn job(row: &AnyRow) -> Result<Job, StoreError> {
                 .zip(columns.optional_text("idempotency_fingerprint")?)
                 .map(|(key, fingerprint)| Idempotency { key, fingerprint }),
             priority: columns.parsed("priority")?,
+            owner: columns.optional_text("owner")?,
         },
         artifacts: columns.json("artifacts", &columns.text("artifacts")?)?,
         attempts: columns.number("attempts")?,

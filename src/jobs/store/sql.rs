@@ -78,9 +78,9 @@ impl JobStore for SqlStore {
             let sql = "INSERT INTO jobs (id, status, progress, stage, created, started, updated, finished, error, \
                        input_key, input_size, input_sha256, hint_extension, hint_content_type, name, units, parameters, artifacts, \
                        attempts, lease, request_id, client_reference, idempotency_key, idempotency_fingerprint, \
-                       priority, turn) \
+                       priority, turn, owner) \
                        VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, $18, $19, $20, \
-                       $21, $22, $23, $24, $25, $26)";
+                       $21, $22, $23, $24, $25, $26, $27)";
             let error = job.error.as_ref().map(json).transpose()?;
             let statement = sqlx::query(sql)
                 .bind(job.id.to_string())
@@ -108,7 +108,8 @@ impl JobStore for SqlStore {
                 .bind(job.spec.idempotency.as_ref().map(|request| request.key.clone()))
                 .bind(job.spec.idempotency.as_ref().map(|request| request.fingerprint.clone()))
                 .bind(job.spec.priority.name())
-                .bind(job.spec.priority.turn(bigint(job.id.millis())));
+                .bind(job.spec.priority.turn(bigint(job.id.millis())))
+                .bind(job.spec.owner.clone());
             self.change(statement).await.map_err(|error| match error {
                 // Ids are made here and never repeat, so it is the key.
                 StoreError::Database(error) if is_repeated(&error) => StoreError::KeyTaken,
@@ -142,11 +143,16 @@ impl JobStore for SqlStore {
             // The text of every id sorts below "~".
             let before = query.before.map_or_else(|| "~".to_owned(), |id| id.to_string());
             let sql = match query.status {
-                None => "SELECT * FROM jobs WHERE id < $1 ORDER BY id DESC LIMIT $2",
-                Some(_) => "SELECT * FROM jobs WHERE id < $1 AND status = $3 ORDER BY id DESC LIMIT $2",
+                None => {
+                    "SELECT * FROM jobs WHERE id < $1 AND ($3 IS NULL OR owner = $3) ORDER BY id DESC LIMIT $2"
+                }
+                Some(_) => {
+                    "SELECT * FROM jobs WHERE id < $1 AND ($3 IS NULL OR owner = $3) AND status = $4 \
+                     ORDER BY id DESC LIMIT $2"
+                }
             };
             let limit = query.limit.max(1);
-            let mut statement = sqlx::query(sql).bind(before).bind(i64::from(limit) + 1);
+            let mut statement = sqlx::query(sql).bind(before).bind(i64::from(limit) + 1).bind(query.owner);
             if let Some(status) = query.status {
                 statement = statement.bind(status.name());
             }
@@ -301,6 +307,25 @@ impl JobStore for SqlStore {
                 *slot = u64::try_from(jobs).unwrap_or(0);
             }
             Ok(counts)
+        }
+        .boxed()
+    }
+
+    fn waiting(&self) -> StoreFuture<'_, u64> {
+        async move {
+            let query = sqlx::query("SELECT COUNT(*) AS jobs FROM jobs WHERE status = 'accepted'");
+            let jobs: i64 = query.fetch_one(&self.readers).await?.try_get("jobs")?;
+            Ok(u64::try_from(jobs).unwrap_or(0))
+        }
+        .boxed()
+    }
+
+    fn active_of<'a>(&'a self, owner: &'a str) -> StoreFuture<'a, u64> {
+        async move {
+            let sql =
+                "SELECT COUNT(*) AS jobs FROM jobs WHERE owner = $1 AND status IN ('accepted', 'running')";
+            let jobs: i64 = sqlx::query(sql).bind(owner).fetch_one(&self.readers).await?.try_get("jobs")?;
+            Ok(u64::try_from(jobs).unwrap_or(0))
         }
         .boxed()
     }

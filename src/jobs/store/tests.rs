@@ -263,10 +263,10 @@ async fn pages_are_newest_first_and_hold_every_job_once() {
         ids.push(job.id);
     }
     for (status, limit) in [(None, 7), (Some(JobStatus::Dismissed), 2), (None, 25), (None, 1), (None, 100)] {
-        let mut query = ListQuery { status, before: None, limit };
+        let mut query = ListQuery { owner: None, status, before: None, limit };
         let mut seen = Vec::new();
         loop {
-            let page = fixture.store.list(query).await.unwrap();
+            let page = fixture.store.list(query.clone()).await.unwrap();
             assert!(page.jobs.len() <= limit as usize);
             seen.extend(page.jobs.iter().map(|job| job.id));
             // A job that comes in meanwhile belongs to no later page.
@@ -316,7 +316,7 @@ async fn an_unreadable_row_hides_no_other() {
     let store = &fixture.store;
     assert_eq!(store.newest().await.unwrap(), Some(newest.id), "ids go on from it");
     let list = async |before, limit| {
-        let page = store.list(ListQuery { status: None, before, limit }).await.unwrap();
+        let page = store.list(ListQuery { owner: None, status: None, before, limit }).await.unwrap();
         (page.jobs.iter().map(|job| job.id).collect::<Vec<_>>(), page.next)
     };
     assert_eq!(list(None, 10).await, (vec![sound.id], None));

@@ -1,0 +1,73 @@
+//! `rosaline keys`: who may use the service.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use clap::Subcommand;
+
+use super::Failure;
+use crate::http::access::{KeyFile, Scope};
+
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    command: Command,
+    /// The service's data folder, in which the keys are; created where it is missing.
+    #[arg(long, env = "ROSALINE_DATA", default_value = "data", value_name = "DIR", global = true)]
+    data: PathBuf,
+    /// The file of the keys, where it is not keys.json in the data folder.
+    #[arg(long, env = "ROSALINE_KEYS", value_name = "FILE", global = true)]
+    keys: Option<PathBuf>,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Make a key and print it: it is shown this once.
+    Add {
+        /// Whom the key is for; jobs belong to this name.
+        name: String,
+        /// What it may do: submit (make, cancel, purge jobs), read, admin (all, everybody's jobs).
+        #[arg(long, value_delimiter = ',', required = true, value_name = "SCOPES")]
+        scope: Vec<Scope>,
+    },
+    /// List the keys, without their secrets.
+    List,
+    /// Give a name a new key, print it, and end the old one.
+    Rotate { name: String },
+    /// End a key.
+    Revoke { name: String },
+}
+
+/// A running service takes changes over with its next request.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let path = match args.keys {
+        Some(path) => path,
+        None => {
+            create_private(&args.data)?;
+            args.data.join("keys.json")
+        }
+    };
+    let file = KeyFile::new(path);
+    let mut out = std::io::stdout();
+    match args.command {
+        Command::Add { name, scope } => writeln!(out, "{}", file.add(&name, &scope)?)?,
+        Command::Rotate { name } => writeln!(out, "{}", file.rotate(&name)?)?,
+        Command::Revoke { name } => file.revoke(&name)?,
+        Command::List => {
+            for key in file.list()? {
+                let scopes: Vec<&str> = key.scopes.iter().map(|scope| scope.name()).collect();
+                let state = key.revoked.map_or("active".to_owned(), |when| format!("revoked {when}"));
+                writeln!(out, "{}  {}  {}  {}  {state}", key.name, key.id, scopes.join(","), key.created)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn create_private(folder: &std::path::Path) -> Result<(), Failure> {
+    let mut builder = std::fs::DirBuilder::new();
+    builder.recursive(true);
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.create(folder).map_err(|error| Failure::new(format!("cannot make {}: {error}", folder.display())))
+}

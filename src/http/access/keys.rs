@@ -1,0 +1,265 @@
+//! The file of API keys: hashes only, changed by `rosaline keys`, read by the service.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use time::OffsetDateTime;
+use time::format_description::well_known::Rfc3339;
+
+/// What every key begins with, so that leaked ones can be searched for.
+const PREFIX: &str = "rosaline_";
+/// Bytes of a key's id, which is no secret, and of its secret.
+const ID_BYTES: usize = 6;
+const SECRET_BYTES: usize = 32;
+const NAME_CHARS: usize = 64;
+
+/// Why the keys could not be read or changed.
+#[derive(Debug, thiserror::Error)]
+pub enum KeyError {
+    #[error("the key file {path} cannot be used: {source}; it must be readable and its folder writable")]
+    Io { path: String, source: io::Error },
+    #[error(
+        "the key file {path} is damaged: {detail}; restore it from a copy, or remove it and make new keys"
+    )]
+    Damaged { path: String, detail: String },
+    #[error("a name has 1 to {NAME_CHARS} letters, digits, '.', '_' and '-'")]
+    Name,
+    #[error("there is a key '{0}' already, maybe a revoked one; choose another name, or rotate that one")]
+    Taken(String),
+    #[error("there is no key '{0}' that is not revoked; 'rosaline keys list' shows what there is")]
+    Unknown(String),
+    #[error("the system gives no random numbers: {0}")]
+    Random(getrandom::Error),
+}
+
+/// What a key lets its holder do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Scope {
+    /// Make, try again, cancel and purge one's own jobs.
+    Submit,
+    /// See one's own jobs and results.
+    Read,
+    /// All of it, with the jobs of everybody.
+    Admin,
+}
+
+impl Scope {
+    pub const ALL: [Scope; 3] = [Scope::Submit, Scope::Read, Scope::Admin];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Scope::Submit => "submit",
+            Scope::Read => "read",
+            Scope::Admin => "admin",
+        }
+    }
+}
+
+/// A word that is none of [`Scope`]'s names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("a scope is submit, read or admin")]
+pub struct UnknownScope;
+
+impl FromStr for Scope {
+    type Err = UnknownScope;
+
+    fn from_str(text: &str) -> Result<Self, UnknownScope> {
+        Scope::ALL.into_iter().find(|scope| scope.name() == text).ok_or(UnknownScope)
+    }
+}
+
+/// A key as it is kept: its secret is not.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Key {
+    pub id: String,
+    /// The principal.
+    pub name: String,
+    pub scopes: Vec<Scope>,
+    /// SHA-256 of the whole key, lower-case hex. A secret of 256 random bits needs no slow hash.
+    pub sha256: String,
+    /// RFC 3339, UTC.
+    pub created: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub revoked: Option<String>,
+}
+
+#[derive(Default, Serialize, Deserialize)]
+struct Kept {
+    keys: Vec<Key>,
+}
+
+/// The key file, for those who change it.
+pub struct KeyFile {
+    path: PathBuf,
+}
+
+impl KeyFile {
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into() }
+    }
+
+    pub fn list(&self) -> Result<Vec<Key>, KeyError> {
+        Ok(read(&self.path)?.unwrap_or_default())
+    }
+
+    /// Makes a key; its text, which is kept nowhere.
+    ///
+    /// # Errors
+    /// [`KeyError::Taken`] also for a revoked key's name, which its jobs still belong to.
+    pub fn add(&self, name: &str, scopes: &[Scope]) -> Result<String, KeyError> {
+        let fits = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
+        if !(1..=NAME_CHARS).contains(&name.len()) || !name.bytes().all(fits) {
+            return Err(KeyError::Name);
+        }
+        self.change(|keys| {
+            if keys.iter().any(|key| key.name == name) {
+                return Err(KeyError::Taken(name.to_owned()));
+            }
+            let (text, key) = fresh(name, scopes)?;
+            keys.push(key);
+            Ok(text)
+        })
+    }
+
+    /// Gives a principal a new key in place of its old one, which ends at once; the new one's text.
+    pub fn rotate(&self, name: &str) -> Result<String, KeyError> {
+        self.change(|keys| {
+            let found = keys.iter_mut().find(|key| key.name == name && key.revoked.is_none());
+            let key = found.ok_or_else(|| KeyError::Unknown(name.to_owned()))?;
+            let (text, new) = fresh(name, &key.scopes)?;
+            *key = new;
+            Ok(text)
+        })
+    }
+
+    /// Ends a key at once.
+    pub fn revoke(&self, name: &str) -> Result<(), KeyError> {
+        self.change(|keys| {
+            let found = keys.iter_mut().find(|key| key.name == name && key.revoked.is_none());
+            let key = found.ok_or_else(|| KeyError::Unknown(name.to_owned()))?;
+            key.revoked = Some(now());
+            Ok(())
+        })
+    }
+
+    fn change<T>(&self, change: impl FnOnce(&mut Vec<Key>) -> Result<T, KeyError>) -> Result<T, KeyError> {
+        let failed = |source| KeyError::Io { path: self.path.display().to_string(), source };
+        // Of two changes at the same time, none is lost.
+        let lock = self.path.with_extension("lock");
+        let lock = private().truncate(false).open(lock).map_err(failed)?;
+        lock.lock().map_err(failed)?;
+        let mut keys = self.list()?;
+        let changed = change(&mut keys)?;
+        write(&self.path, &Kept { keys }).map_err(failed)?;
+        Ok(changed)
+    }
+}
+
+/// The keys in the file; `None` where there is none.
+pub(super) fn read(path: &Path) -> Result<Option<Vec<Key>>, KeyError> {
+    let text = match fs::read(path) {
+        Ok(text) => text,
+        Err(error) if is_absent(&error) => return Ok(None),
+        Err(source) => return Err(KeyError::Io { path: path.display().to_string(), source }),
+    };
+    let kept: Kept = serde_json::from_slice(&text)
+        .map_err(|error| KeyError::Damaged { path: path.display().to_string(), detail: error.to_string() })?;
+    Ok(Some(kept.keys))
+}
+
+fn is_absent(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
+}
+
+/// Whole or not at all, for its owner's eyes only.
+fn write(path: &Path, kept: &Kept) -> io::Result<()> {
+    let temporary = path.with_extension("new");
+    let mut file = private().truncate(true).open(&temporary)?;
+    file.write_all(&serde_json::to_vec_pretty(kept)?)?;
+    file.sync_all()?;
+    fs::rename(&temporary, path)?;
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+}
+
+fn private() -> OpenOptions {
+    let mut options = OpenOptions::new();
+    options.write(true).create(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    options
+}
+
+fn fresh(name: &str, scopes: &[Scope]) -> Result<(String, Key), KeyError> {
+    let mut random = [0; ID_BYTES + SECRET_BYTES];
+    getrandom::fill(&mut random).map_err(KeyError::Random)?;
+    let (id, secret) = random.split_at(ID_BYTES);
+    let id = hex(id);
+    let text = format!("{PREFIX}{id}_{}", hex(secret));
+    let key = Key {
+        id,
+        name: name.to_owned(),
+        scopes: scopes.to_vec(),
+        sha256: hash(&text),
+        created: now(),
+        revoked: None,
+    };
+    Ok((text, key))
+}
+
+/// The id in a key's text.
+pub(super) fn id_of(text: &str) -> Option<&str> {
+    Some(text.strip_prefix(PREFIX)?.split_once('_')?.0)
+}
+
+pub(super) fn hash(text: &str) -> String {
+    hex(&Sha256::digest(text))
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn now() -> String {
+    OffsetDateTime::now_utc().format(&Rfc3339).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_are_made_rotated_and_revoked_and_their_secrets_are_kept_nowhere() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("keys.json");
+        let file = KeyFile::new(&path);
+        assert!(file.list().unwrap().is_empty());
+        let first = file.add("pacs", &[Scope::Submit, Scope::Read]).unwrap();
+        let other = file.add("viewer", &[Scope::Read]).unwrap();
+        assert!(first != other && first.len() == PREFIX.len() + 12 + 1 + 64, "{first}");
+        assert!(matches!(file.add("pacs", &[Scope::Read]), Err(KeyError::Taken(_))));
+        for name in ["", "a b", "a/b", "ä", &"x".repeat(65)] {
+            assert!(matches!(file.add(name, &[Scope::Read]), Err(KeyError::Name)), "{name}");
+        }
+        let second = file.rotate("pacs").unwrap();
+        let keys = file.list().unwrap();
+        assert_eq!((keys.len(), &keys[0].sha256), (2, &hash(&second)));
+        assert_eq!(keys[0].scopes, [Scope::Submit, Scope::Read]);
+        file.revoke("viewer").unwrap();
+        assert!(matches!(file.revoke("viewer"), Err(KeyError::Unknown(_))));
+        assert!(matches!(file.add("viewer", &[Scope::Read]), Err(KeyError::Taken(_))));
+        let text = fs::read_to_string(&path).unwrap();
+        for secret in [&first, &second, &other] {
+            assert!(!text.contains(secret.rsplit('_').next().unwrap()));
+        }
+        #[cfg(unix)]
+        assert_eq!(std::os::unix::fs::MetadataExt::mode(&fs::metadata(&path).unwrap()) & 0o777, 0o600);
+        fs::write(&path, "{").unwrap();
+        assert!(matches!(file.list(), Err(KeyError::Damaged { .. })));
+    }
+}

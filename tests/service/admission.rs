@@ -1,0 +1,84 @@
+//! Bounds on what may wait, run and come in.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::process::Command;
+use std::sync::Arc;
+
+use serde_json::Value;
+
+use crate::meshes;
+use crate::service::{Service, problem};
+
+#[tokio::test]
+async fn a_full_queue_takes_no_more_until_there_is_room() {
+    let service = Service::start(&["--workers", "1", "--max-queue", "2"]);
+    let limits: Value = service.get("/v1/limits").send().await.unwrap().json().await.unwrap();
+    assert_eq!(limits["queue"], 2);
+    let running = service.accepted("?smoothing=true", meshes::large()).await;
+    service.running().await;
+    let first = service.accepted("", meshes::small()).await;
+    service.accepted("", meshes::small()).await;
+    let response = service.submit("", meshes::small()).await;
+    assert!(response.headers().contains_key("retry-after"));
+    assert_eq!(problem(response, 503, "queue-full").await["limit"], 2);
+    service.delete(&first).send().await.unwrap();
+    service.accepted("", meshes::small()).await;
+    service.delete(&running).send().await.unwrap();
+}
+
+#[tokio::test]
+async fn a_principal_has_its_share() {
+    let data = Arc::new(tempfile::tempdir().unwrap());
+    let key = |name: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+        command.args(["keys", "add", name, "--scope", "submit,read", "--data"]).arg(data.path());
+        String::from_utf8(command.output().unwrap().stdout).unwrap().trim().to_owned()
+    };
+    let (one, other) = (key("one"), key("other"));
+    let service = Service::start_on(data.clone(), &["--workers", "1", "--max-jobs-each", "2"]);
+    let post = |key: &str| {
+        let request =
+            service.post("/v1/jobs?smoothing=true").header("authorization", format!("Bearer {key}"));
+        request.body(meshes::large()).send()
+    };
+    for _ in 0..2 {
+        assert_eq!(post(&one).await.unwrap().status(), 201);
+    }
+    let response = post(&one).await.unwrap();
+    assert!(response.headers().contains_key("retry-after"));
+    problem(response, 429, "too-many-jobs").await;
+    assert_eq!(post(&other).await.unwrap().status(), 201);
+}
+
+#[tokio::test]
+async fn so_many_uploads_come_in_at_the_same_time() {
+    let service = Service::start(&["--max-uploads", "1"]);
+    let mut slow = TcpStream::connect(service.address()).unwrap();
+    let mesh = meshes::small();
+    let head = format!("POST /v1/jobs HTTP/1.1\r\nHost: x\r\nContent-Length: {}\r\n\r\n", mesh.len());
+    slow.write_all(head.as_bytes()).unwrap();
+    slow.write_all(&mesh[..1000]).unwrap();
+    while service.files().is_empty() {
+        tokio::time::sleep(std::time::Duration::from_millis(5)).await;
+    }
+    let response = service.submit("", meshes::small()).await;
+    assert!(response.headers().contains_key("retry-after"));
+    problem(response, 503, "too-many-uploads").await;
+    slow.write_all(&mesh[1000..]).unwrap();
+    let mut answer = [0; 12];
+    slow.read_exact(&mut answer).unwrap();
+    assert_eq!(&answer, b"HTTP/1.1 201");
+    service.accepted("", meshes::small()).await;
+}
+
+#[tokio::test]
+async fn a_job_that_takes_too_long_fails_and_frees_its_worker() {
+    let service = Service::start(&["--workers", "1", "--max-run", "1s"]);
+    let job = service.accepted("?smoothing=true&preset=paper", meshes::stl(&meshes::tube(600, 120))).await;
+    let status = service.ended(&job).await;
+    assert_eq!(status["status"], "failed", "{status}");
+    assert_eq!(status["error"]["type"], "urn:rosaline:problem:time-limit", "{status}");
+    let next = service.accepted("", meshes::stl(&meshes::tube(8, 6))).await;
+    assert_ne!(service.ended(&next).await["error"]["type"], "urn:rosaline:problem:time-limit");
+}

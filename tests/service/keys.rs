@@ -1,0 +1,174 @@
+//! Authentication off and on by key, and whose job is whose.
+
+use std::process::{Command, Output};
+use std::sync::Arc;
+
+use reqwest::{Method, RequestBuilder, Response};
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::meshes;
+use crate::service::{Service, command, problem};
+
+fn keys(data: &TempDir, arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+    command.env_remove("ROSALINE_KEYS").env("ROSALINE_DATA", data.path());
+    command.arg("keys").args(arguments).output().unwrap()
+}
+
+/// The key that a command prints.
+fn made(data: &TempDir, arguments: &[&str]) -> String {
+    let output = keys(data, arguments);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap().trim().to_owned()
+}
+
+fn with(request: RequestBuilder, key: &str) -> RequestBuilder {
+    request.header("authorization", format!("Bearer {key}"))
+}
+
+async fn post(service: &Service, key: &str, query: &str) -> Response {
+    let request =
+        service.post(&format!("/v1/jobs{query}")).header("idempotency-key", format!("same{}", query.len()));
+    with(request, key).body(meshes::small()).send().await.unwrap()
+}
+
+async fn job(service: &Service, key: &str, query: &str) -> String {
+    let response = post(service, key, query).await;
+    assert_eq!(response.status(), 201);
+    let job = response.headers()["location"].to_str().unwrap().to_owned();
+    loop {
+        let wait = with(service.get(&job), key).header("prefer", "wait=60");
+        let status: Value = wait.send().await.unwrap().json().await.unwrap();
+        if status["status"] == "successful" {
+            return job;
+        }
+        assert!(matches!(status["status"].as_str(), Some("accepted" | "running")), "{status}");
+    }
+}
+
+#[tokio::test]
+async fn others_are_let_in_with_a_key_or_when_the_operator_says_so() {
+    let refused = |arguments: &[&str]| {
+        let dir = tempfile::tempdir().unwrap();
+        let output = command(dir.path()).args(arguments).output().unwrap();
+        assert_eq!(output.status.code(), Some(1));
+        let text = String::from_utf8(output.stderr).unwrap();
+        let line = text.lines().last().unwrap().to_owned();
+        assert!(line.contains("keys add") && line.contains("--insecure"), "{line}");
+    };
+    refused(&["--listen", "0.0.0.0:0"]);
+    refused(&["--listen", "[::]:0"]);
+    for arguments in [vec![], vec!["--listen", "127.0.0.2:0"], vec!["--listen", "0.0.0.0:0", "--insecure"]] {
+        let service = Service::start(&arguments);
+        assert_eq!(service.get("/v1/jobs").send().await.unwrap().status(), 200, "{arguments:?}");
+        assert!(service.log().contains("no key is needed"), "{}", service.log());
+    }
+    let data = Arc::new(tempfile::tempdir().unwrap());
+    let key = made(&data, &["add", "pacs", "--scope", "read"]);
+    let service = Service::start_on(data, &["--listen", "0.0.0.0:0"]);
+    problem(service.get("/v1/jobs").send().await.unwrap(), 401, "unauthenticated").await;
+    assert_eq!(with(service.get("/v1/jobs"), &key).send().await.unwrap().status(), 200);
+}
+
+#[tokio::test]
+async fn without_a_valid_key_nothing_is_told_and_nothing_is_taken() {
+    let data = Arc::new(tempfile::tempdir().unwrap());
+    let key = made(&data, &["add", "pacs", "--scope", "submit,read"]);
+    let service = Service::start_on(data.clone(), &[]);
+    let job = job(&service, &key, "").await;
+    let last = if key.ends_with('0') { "1" } else { "0" };
+    let wrong = format!("{}{last}", &key[..key.len() - 1]);
+    let paths = ["/v1/jobs", "/v1/limits", &job, "/v1/nothing", &format!("{job}/results/centerline")];
+    for path in paths {
+        let response = service.get(path).send().await.unwrap();
+        assert_eq!(response.headers()["www-authenticate"], "Bearer realm=\"rosaline\"", "{path}");
+        problem(response, 401, "unauthenticated").await;
+        problem(with(service.get(path), &wrong).send().await.unwrap(), 401, "unauthenticated").await;
+        let basic = service.get(path).header("authorization", format!("Basic {key}"));
+        problem(basic.send().await.unwrap(), 401, "unauthenticated").await;
+        let twice = with(with(service.get(path), &key), &wrong);
+        problem(twice.send().await.unwrap(), 401, "unauthenticated").await;
+    }
+    let files = service.files();
+    problem(service.submit("", meshes::small()).await, 401, "unauthenticated").await;
+    problem(service.delete(&job).send().await.unwrap(), 401, "unauthenticated").await;
+    assert_eq!(service.files(), files);
+    for path in ["/healthz", "/readyz", "/openapi.yaml"] {
+        assert_eq!(service.get(path).send().await.unwrap().status(), 200, "{path} tells nothing of jobs");
+    }
+    let kept = std::fs::read_to_string(data.path().join("keys.json")).unwrap();
+    for text in [service.log(), kept] {
+        assert!(!text.contains(&key) && !text.contains(key.rsplit('_').next().unwrap()), "{text}");
+    }
+}
+
+#[tokio::test]
+async fn a_job_belongs_to_its_principal_and_is_not_there_for_others() {
+    let data = Arc::new(tempfile::tempdir().unwrap());
+    let ours = made(&data, &["add", "ours", "--scope", "submit,read"]);
+    let theirs = made(&data, &["add", "theirs", "--scope", "submit,read"]);
+    let admin = made(&data, &["add", "operator", "--scope", "admin"]);
+    let mut service = Service::start_on(data, &[]);
+    let (mine, other) = (job(&service, &ours, "").await, job(&service, &theirs, "").await);
+    assert_ne!(mine, other, "an idempotency key is its principal's");
+    let again = post(&service, &ours, "").await;
+    assert_eq!(again.headers()["location"], mine.as_str());
+    // Also after a restart.
+    service.kill();
+    let service = service.restart(&[]);
+    let paths = ["", "/events", "/results/centerline", "/results/centerline.json", "/results/centerline.glb"];
+    for (path, method) in paths.map(|path| (path, Method::GET)).into_iter().chain([
+        ("", Method::DELETE),
+        ("/retry", Method::POST),
+        ("", Method::HEAD),
+    ]) {
+        let request = service.client.request(method.clone(), format!("{}{mine}{path}", service.url));
+        let response = with(request, &theirs).send().await.unwrap();
+        assert_eq!(response.status(), 404, "{method} {path}");
+        if method != Method::HEAD {
+            problem(response, 404, "job-not-found").await;
+        }
+    }
+    let listed = async |key: &str| {
+        let list: Value = with(service.get("/v1/jobs"), key).send().await.unwrap().json().await.unwrap();
+        list["jobs"].as_array().unwrap().iter().map(|job| job["links"][0]["href"].clone()).collect::<Vec<_>>()
+    };
+    assert_eq!(listed(&ours).await, [mine.as_str()]);
+    assert_eq!(listed(&theirs).await, [other.as_str()]);
+    assert_eq!(listed(&admin).await, [other.as_str(), mine.as_str()]);
+    assert_eq!(with(service.get(&mine), &admin).send().await.unwrap().status(), 200);
+    assert_eq!(with(service.delete(&other), &admin).send().await.unwrap().status(), 204);
+    assert_eq!(with(service.delete(&mine), &ours).send().await.unwrap().status(), 204);
+}
+
+#[tokio::test]
+async fn keys_have_scopes_and_change_while_the_service_runs() {
+    let data = Arc::new(tempfile::tempdir().unwrap());
+    let service = Service::start_on(data.clone(), &[]);
+    let open = service.accepted("", meshes::small()).await;
+    service.ended(&open).await;
+    // The first key closes the service.
+    let reader = made(&data, &["add", "reader", "--scope", "read"]);
+    problem(service.get(&open).send().await.unwrap(), 401, "unauthenticated").await;
+    problem(with(service.get(&open), &reader).send().await.unwrap(), 404, "job-not-found").await;
+    let response = post(&service, &reader, "").await;
+    assert_eq!(problem(response, 403, "forbidden").await["scope"], "submit");
+    let writer = made(&data, &["add", "writer", "--scope", "submit"]);
+    assert_eq!(post(&service, &writer, "").await.status(), 201);
+    let response = with(service.get("/v1/jobs"), &writer).send().await.unwrap();
+    assert_eq!(problem(response, 403, "forbidden").await["scope"], "read");
+
+    let rotated = made(&data, &["rotate", "writer"]);
+    problem(post(&service, &writer, "?omega=0.8").await, 401, "unauthenticated").await;
+    assert_eq!(post(&service, &rotated, "?omega=0.8").await.status(), 201);
+    assert!(keys(&data, &["revoke", "writer"]).status.success());
+    problem(post(&service, &rotated, "?omega=0.75").await, 401, "unauthenticated").await;
+
+    let list = made(&data, &["list"]);
+    assert!(list.lines().any(|line| line.starts_with("reader  ") && line.ends_with("  active")), "{list}");
+    assert!(list.lines().any(|line| line.starts_with("writer  ") && line.contains("revoked 20")), "{list}");
+    for wrong in [vec!["add", "reader", "--scope", "read"], vec!["rotate", "writer"], vec!["add", "x"]] {
+        assert_eq!(keys(&data, &wrong).status.code(), Some(1), "{wrong:?}");
+    }
+}
