@@ -6,7 +6,10 @@
 mod gltf_checker;
 
 use nalgebra::Point3;
-use rosaline::centerline::{Branch, Centerline, Extraction, Node, NodeKind, Parameters, SurfaceSummary};
+use rosaline::centerline::{
+    Branch, Centeredness, Centerline, Extraction, Homotopy, Node, NodeKind, Parameters, Quality,
+    SurfaceSummary,
+};
 use rosaline::mesh::Units;
 use rosaline::output::{
     NodeRecord, OutputError, OutputFormat, ResultDocument, Source, read_json, write, write_glb,
@@ -41,6 +44,13 @@ fn document(shift: [f64; 3], scale: f64) -> ResultDocument {
     let extraction = Extraction {
         centerline: Centerline { nodes, branches },
         surface: SurfaceSummary { components: 1, diagonal: 50.0 * scale, ..SurfaceSummary::default() },
+        quality: Some(Quality {
+            homotopy: Homotopy { components: 1, genus: 0, parts: 1, loops: 0, equal: true },
+            inside: 0.75,
+            centeredness: Centeredness { mean: Some(0.125), max: None, sections: 7 },
+            coverage: 0.5,
+            thinness: true,
+        }),
         warnings: Vec::new(),
     };
     let source = Source { name: None, format: "stl", sha256: &"0".repeat(64), units: Units::Millimetres };
@@ -186,4 +196,24 @@ fn a_line_that_gltf_cannot_hold_is_refused_with_a_reason() {
     let mut broken = document([0.0; 3], 1.0);
     broken.branches[0].points[3][1] = f64::INFINITY;
     assert!(matches!(write_glb(&broken), Err(OutputError::NotFinite { .. })));
+}
+
+#[test]
+fn the_quality_stands_in_every_format() {
+    let (_, document) = &documents()[0];
+    let json: serde_json::Value =
+        serde_json::from_slice(&write(document, OutputFormat::Json).unwrap()).unwrap();
+    assert_eq!(
+        json["quality"],
+        serde_json::json!({
+            "homotopy": {"components": 1, "genus": 0, "parts": 1, "loops": 0, "equal": true},
+            "inside": 0.75,
+            "centeredness": {"mean": 0.125, "max": null, "sections": 7},
+            "coverage": 0.5,
+            "thinness": true,
+        })
+    );
+    let gltf: serde_json::Value =
+        serde_json::from_slice(&write(document, OutputFormat::Gltf).unwrap()).unwrap();
+    assert_eq!(gltf["nodes"][0]["extras"]["quality"], json["quality"]);
 }

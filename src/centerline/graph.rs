@@ -2,6 +2,8 @@
 
 use nalgebra::Point3;
 
+use super::quality::Quality;
+
 /// What a node of the centerline is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NodeKind {
@@ -86,5 +88,7 @@ pub struct Warning {
 pub struct Extraction {
     pub centerline: Centerline,
     pub surface: SurfaceSummary,
+    /// What was measured of the line; `None` of one that no extraction made.
+    pub quality: Option<Quality>,
     pub warnings: Vec<Warning>,
 }

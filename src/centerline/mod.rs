@@ -5,16 +5,15 @@
 mod component;
 mod connection;
 mod control;
-mod coverage;
 mod cut_plane;
 mod error;
 mod graph;
-mod homotopy;
 mod laplacian_smoothing;
 mod parameters;
 mod point_grid;
 mod preset_default;
 mod preset_paper;
+mod quality;
 mod ray;
 mod recentering;
 mod segmentation;
@@ -25,15 +24,18 @@ mod smoothing_filter;
 mod test_surfaces;
 mod thinning;
 mod tips;
+mod triangle_grid;
 
 pub use control::{CancelToken, Control, Part, Progress, Stage};
 pub use error::ExtractError;
 pub use graph::{Branch, Centerline, Extraction, Node, NodeKind, SurfaceSummary, Warning};
 pub use parameters::{ParameterError, ParameterKind, ParameterSpec, Parameters, Preset, TABLE};
+pub use quality::{Centeredness, Homotopy, Quality};
 
 use crate::mesh::TriangleMesh;
 use crate::mesh::preparation::{PreparationError, PreparationReport, Prepared, Sites, Surface, prepare};
 use component::ComponentGraph;
+use quality::Measured;
 
 /// A component smaller than this share of the largest one's diagonal is a speck of the segmentation.
 const SPECK: f64 = 0.02;
@@ -59,6 +61,7 @@ pub fn extract(
     }
     let mut extraction = Extraction { surface: summary(&prepared), ..Extraction::default() };
     extraction.warnings = repair_warnings(&prepared.report);
+    let mut measured = Measured::default();
     let mut refusal = None;
     let mut specks = 0;
     let parts = parts(&prepared.components);
@@ -80,8 +83,7 @@ pub fn extract(
         };
         match found {
             Ok(graph) => {
-                extraction.warnings.extend(homotopy::check(index, surface, &graph));
-                extraction.warnings.extend(coverage::check(index, surface, &graph));
+                extraction.warnings.extend(measured.add(index, surface, &graph));
                 append(&mut extraction, graph);
             }
             Err(ExtractError::Cancelled) => return Err(ExtractError::Cancelled),
@@ -96,6 +98,7 @@ pub fn extract(
         let detail = format!("{specks} components smaller than {SPECK} of the largest were left out");
         extraction.warnings.push(Warning { code: "specks-skipped", detail });
     }
+    extraction.quality = measured.quality();
     match refusal {
         Some(error) if extraction.centerline.branches.is_empty() => Err(error),
         _ => Ok(extraction),

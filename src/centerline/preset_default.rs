@@ -62,7 +62,7 @@ pub fn extract_component(
     meet_in_joints(surface, &owners, &mut network, control)?;
     control.report(Stage::Connection, 0.0)?;
     let mut result = network.connect();
-    result.warnings = unsupported::check(surface, &network);
+    result.warnings.extend(unsupported::check(&network));
     refuse_blob(surface, &result)?;
     control.report(Stage::Connection, 1.0)?;
     Ok(result)

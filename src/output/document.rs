@@ -10,7 +10,7 @@ use utoipa::openapi::schema::{ArrayBuilder, KnownFormat, ObjectBuilder, SchemaFo
 use crate::centerline::{Branch, Centerline, Extraction, Node, NodeKind, ParameterKind, Parameters};
 use crate::mesh::Units;
 
-use super::OutputError;
+use super::{OutputError, QualityRecord};
 
 /// The value of the member `schema`.
 pub const SCHEMA: &str = "rosaline.centerline/1";
@@ -29,6 +29,10 @@ pub struct ResultDocument {
     pub nodes: Vec<NodeRecord>,
     /// Curves between nodes; `id` is the place in this array.
     pub branches: Vec<BranchRecord>,
+    /// In every result of an extraction; the known centerline of a made surface has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = QualityRecord, required = true)]
+    pub quality: Option<QualityRecord>,
     /// What the user should know about an otherwise successful result.
     pub warnings: Vec<WarningRecord>,
 }
@@ -161,7 +165,7 @@ impl ResultDocument {
 
     /// The document of a centerline that another `method` made.
     pub fn with_method(extraction: &Extraction, source: &Source<'_>, method: MethodRecord) -> Self {
-        let Extraction { centerline, surface, warnings } = extraction;
+        let Extraction { centerline, surface, quality, warnings } = extraction;
         let source_record = SourceRecord {
             name: source.name.map(str::to_owned),
             format: source.format.to_owned(),
@@ -183,6 +187,7 @@ impl ResultDocument {
             method,
             nodes: node_records(centerline),
             branches: centerline.branches.iter().enumerate().map(branch_record).collect(),
+            quality: quality.as_ref().map(QualityRecord::from),
             warnings: warnings.collect(),
         }
     }
@@ -327,6 +332,7 @@ pub(in crate::output) mod tests {
                 openings: 0,
                 diagonal: 10.0,
             },
+            quality: None,
             warnings: vec![Warning {
                 code: "degenerate-triangles",
                 detail: "2 triangles dropped".to_owned(),

@@ -2,7 +2,7 @@
 //!
 //! One node holds one mesh; each branch is a primitive of it with the attributes `POSITION`
 //! and `_RADIUS` (one float a point) and, in `extras`, its `id`, `from`, `to` and `length`.
-//! The node's `extras` hold the schema, the unit and the graph's nodes in full precision.
+//! The node's `extras` hold the schema, the unit, the graph's nodes in full precision and the quality.
 //!
 //! Positions are in the input's own unit and frame, not in glTF's metres, so that the line lies
 //! inside the input mesh when both are loaded. They are 32-bit floats. Where the input lies so
@@ -116,6 +116,9 @@ fn root_node(document: &ResultDocument, offset: [f32; 3]) -> Value {
         "mesh": 0,
         "extras": { "schema": document.schema, "units": document.units, "nodes": document.nodes },
     });
+    if let Some(quality) = document.quality {
+        node["extras"]["quality"] = json!(quality);
+    }
     if offset != [0.0; 3] {
         node["translation"] = json!(offset.map(f64::from));
     }

@@ -26,7 +26,7 @@ pub fn read_json(bytes: &[u8]) -> Result<ResultDocument, OutputError> {
     Ok(document)
 }
 
-/// Fails when a node or a branch holds a number that is not finite.
+/// Fails when a node, a branch or the quality holds a number that is not finite.
 pub(super) fn check_finite(document: &ResultDocument) -> Result<(), OutputError> {
     let broken = |place: String| Err(OutputError::NotFinite { place });
     if !document.source.diagonal.is_finite() {
@@ -41,6 +41,13 @@ pub(super) fn check_finite(document: &ResultDocument) -> Result<(), OutputError>
         let numbers = branch.points.iter().flatten().chain(&branch.radii).chain([&branch.length]);
         if !numbers.into_iter().all(|value| value.is_finite()) {
             return broken(format!("branch {}", branch.id));
+        }
+    }
+    if let Some(quality) = &document.quality {
+        let offsets = [quality.centeredness.mean, quality.centeredness.max];
+        let numbers = [quality.inside, quality.coverage].into_iter().chain(offsets.into_iter().flatten());
+        if !numbers.into_iter().all(f64::is_finite) {
+            return broken("the quality".to_owned());
         }
     }
     Ok(())

@@ -7,6 +7,7 @@
 mod document;
 mod gltf;
 mod json;
+mod quality;
 
 pub use document::{
     BranchRecord, KindRecord, MethodRecord, NodeRecord, ParameterValue, ResultDocument, SCHEMA, Source,
@@ -14,6 +15,7 @@ pub use document::{
 };
 pub use gltf::{write_glb, write_gltf};
 pub use json::{read_json, write_json};
+pub use quality::{CenterednessRecord, HomotopyRecord, QualityRecord};
 
 /// The formats a result is served in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -213,6 +213,7 @@ impl Phantom {
         Extraction {
             centerline: self.centerline.clone(),
             surface: self.surface.clone(),
+            quality: None,
             warnings: Vec::new(),
         }
     }

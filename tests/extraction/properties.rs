@@ -43,6 +43,10 @@ proptest! {
         prop_assert_eq!(&found, &line_of(&phantom.mesh), "another run");
         let line = &found.centerline;
         prop_assert_eq!(parts_and_loops(line), (found.surface.components, found.surface.genus));
+        let quality = found.quality.unwrap();
+        prop_assert!(quality.homotopy.equal && quality.thinness, "{:?}", quality);
+        prop_assert!(quality.inside >= 0.999 && quality.coverage > 0.99, "{:?}", quality);
+        prop_assert!(quality.centeredness.mean.unwrap() < 0.06, "{:?}", quality);
         for (index, node) in line.nodes.iter().enumerate() {
             prop_assert_eq!(node.kind == NodeKind::End, line.degree(index) == 1, "node {}", index);
             prop_assert!(node.radius.is_finite() && node.radius > 0.0);

@@ -1,0 +1,229 @@
+//! How good a line is: measured on the result and the prepared surface alone, whichever preset made it.
+//!
+//! One file a property: [`homotopy`], [`inside`], [`centeredness`], [`coverage`], [`thinness`]. A component's
+//! line is measured against that component; what fails is a warning as well.
+
+mod centeredness;
+mod coverage;
+mod homotopy;
+mod inside;
+mod line_tree;
+mod thinness;
+
+use crate::mesh::preparation::Surface;
+
+use crate::centerline::component::ComponentGraph;
+use crate::centerline::graph::Warning;
+use crate::centerline::triangle_grid::TriangleGrid;
+use centeredness::Offsets;
+use coverage::Covered;
+pub use homotopy::Homotopy;
+use inside::Inside;
+use line_tree::LineTree;
+
+/// What was measured of a whole result.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Quality {
+    pub homotopy: Homotopy,
+    /// Share of the line's length inside the lumen, 0 to 1.
+    pub inside: f64,
+    pub centeredness: Centeredness,
+    /// Share of the surface's area, caps of openings included, within 1.5 local radii of the line.
+    pub coverage: f64,
+    /// Whether the line is one-dimensional; [`thinness`] says what that means.
+    pub thinness: bool,
+}
+
+/// Distance of the line's points from the centroids of their sections, in radii of the circles that have the
+/// sections' areas; [`centeredness`] says which points count.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Centeredness {
+    /// `None` where no point counts.
+    pub mean: Option<f64>,
+    pub max: Option<f64>,
+    /// How many points count.
+    pub sections: usize,
+}
+
+/// Sums over the components that have a line.
+#[derive(Debug, Clone, Default)]
+pub struct Measured {
+    components: usize,
+    homotopy: Homotopy,
+    inside: Inside,
+    offsets: Offsets,
+    covered: Covered,
+    thick: bool,
+}
+
+impl Measured {
+    /// Adds the line of component `index`; returns the warnings of what fails.
+    ///
+    /// O(triangles + points of the line x (triangles of a section + log segments)).
+    pub fn add(&mut self, index: usize, surface: &Surface, graph: &ComponentGraph) -> Vec<Warning> {
+        let grid = TriangleGrid::new(surface);
+        let line = LineTree::new(graph);
+        let homotopy = Homotopy::of(surface, graph);
+        let inside = inside::measure(&grid, graph);
+        let covered = coverage::measure(surface, &line);
+        let warnings = [homotopy.warning(index), inside.warning(index), covered.warning(index, &line)];
+        self.offsets.add(&centeredness::measure(surface, &grid, &line, graph));
+        self.homotopy.add(&homotopy);
+        self.inside.add(&inside);
+        self.covered.add(&covered);
+        self.thick |= !thinness::is_thin(&line, graph);
+        self.components += 1;
+        warnings.into_iter().flatten().collect()
+    }
+
+    /// `None` when no component was added.
+    pub fn quality(&self) -> Option<Quality> {
+        (self.components > 0).then(|| Quality {
+            homotopy: self.homotopy,
+            inside: self.inside.share(),
+            centeredness: self.offsets.centeredness(),
+            coverage: self.covered.share(),
+            thinness: !self.thick,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use nalgebra::Point3;
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::centerline::graph::{Branch, Node, NodeKind};
+    use crate::centerline::shapes::{open_tube, torus};
+    use crate::centerline::test_surfaces::closed_surface;
+
+    /// One branch of radius 1 through `points`, between two ends or round one seam.
+    fn line(points: Vec<Point3<f64>>, ring: bool) -> ComponentGraph {
+        let node = |position: &Point3<f64>| Node { kind: NodeKind::End, position: *position, radius: 1.0 };
+        let ends = if ring { vec![&points[0]] } else { vec![&points[0], &points[points.len() - 1]] };
+        ComponentGraph {
+            nodes: ends.into_iter().map(node).collect(),
+            branches: vec![Branch {
+                from: 0,
+                to: usize::from(!ring),
+                radii: vec![1.0; points.len()],
+                points,
+            }],
+            ..ComponentGraph::default()
+        }
+    }
+
+    /// Points along z between two places, at a distance from the axis.
+    fn straight(from: f64, to: f64, aside: f64) -> ComponentGraph {
+        let point = |k: u32| Point3::new(aside, 0.0, from + (to - from) * f64::from(k) / 100.0);
+        line((0..=100).map(point).collect(), false)
+    }
+
+    fn measured(surface: &Surface, graph: &ComponentGraph) -> (Quality, Vec<&'static str>) {
+        let mut sum = Measured::default();
+        let warnings = sum.add(0, surface, graph);
+        (sum.quality().unwrap(), warnings.iter().map(|warning| warning.code).collect())
+    }
+
+    /// A tube of radius 1 and length 20.
+    fn tube() -> Surface {
+        closed_surface(&open_tube(20.0, 101, 96))
+    }
+
+    #[test]
+    fn the_axis_of_a_tube_is_perfect() {
+        let (quality, warnings) = measured(&tube(), &straight(0.0, 20.0, 0.0));
+        assert_eq!(quality.homotopy, Homotopy { components: 1, genus: 0, parts: 1, loops: 0, equal: true });
+        assert_eq!((quality.inside, quality.coverage, quality.thinness), (1.0, 1.0, true));
+        // Every 0.6 of the 18 radii that lie a radius away from both ends.
+        assert_eq!(quality.centeredness.sections, 30);
+        assert!(quality.centeredness.max.unwrap() < 1e-9);
+        assert!(warnings.is_empty(), "{warnings:?}");
+    }
+
+    #[test]
+    fn the_circle_of_a_torus_is_a_loop_a_little_inside_of_the_sections_middles() {
+        let ring = closed_surface(&torus(10.0, 1.0, 320, 96));
+        let circle = |k: u32| {
+            Point3::new(
+                10.0 * (TAU * f64::from(k) / 300.0).cos(),
+                10.0 * (TAU * f64::from(k) / 300.0).sin(),
+                0.0,
+            )
+        };
+        let mut points: Vec<_> = (0..300).map(circle).collect();
+        points.push(points[0]);
+        let (quality, warnings) = measured(&ring, &line(points, true));
+        assert_eq!(quality.homotopy, Homotopy { components: 1, genus: 1, parts: 1, loops: 1, equal: true });
+        assert_eq!((quality.inside, quality.coverage, quality.thinness), (1.0, 1.0, true));
+        assert!(quality.centeredness.sections > 90 && quality.centeredness.max.unwrap() < 0.002);
+        assert!(warnings.is_empty(), "{warnings:?}");
+    }
+
+    #[test]
+    fn a_line_that_leaves_the_lumen_is_told() {
+        let (quality, warnings) = measured(&tube(), &straight(-5.0, 20.0, 0.0));
+        assert!((quality.inside - 0.8).abs() < 1e-9, "{}", quality.inside);
+        assert_eq!(warnings, ["outside"]);
+        let (quality, warnings) = measured(&tube(), &straight(0.0, 20.0, 1.2));
+        assert_eq!((quality.inside, quality.centeredness.sections), (0.0, 0));
+        assert_eq!((quality.centeredness.mean, warnings), (None, vec!["outside"]));
+    }
+
+    #[test]
+    fn half_a_line_covers_half_a_tube() {
+        let (quality, warnings) = measured(&tube(), &straight(0.0, 10.0, 0.0));
+        // The wall up to the ball around the line's end, and one of the two caps.
+        let covered = (10.0 + (1.5_f64 * 1.5 - 1.0).sqrt() + 0.5) / 21.0;
+        assert!((quality.coverage - covered).abs() < 0.005, "{} against {covered}", quality.coverage);
+        assert_eq!(warnings, ["wall-without-line"]);
+    }
+
+    #[test]
+    fn a_line_that_passes_a_place_twice_is_not_thin() {
+        let tube = tube();
+        let thin = |graph: &ComponentGraph| measured(&tube, graph).0.thinness;
+        let axis = straight(0.0, 20.0, 0.0);
+        let mut twice = axis.clone();
+        twice.branches.push(twice.branches[0].clone());
+        assert!(!thin(&twice));
+        let mut standing = axis.clone();
+        standing.branches[0].points[50] = standing.branches[0].points[49];
+        assert!(!thin(&standing));
+        let mut back = axis.clone();
+        back.branches[0].points[50].z = 9.5;
+        assert!(!thin(&back));
+        let mut apart = axis.clone();
+        apart.branches.extend(straight(0.0, 20.0, 0.1).branches);
+        assert!(thin(&apart), "0.1 radii apart");
+        let crossing = (0..=20).map(|k| Point3::new(0.1 * f64::from(k) - 1.0, 0.0, 10.0)).collect();
+        let mut crossed = axis;
+        crossed.branches.extend(line(crossing, false).branches);
+        assert!(!thin(&crossed));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 32, failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn a_line_aside_is_off_by_how_far_it_was_moved(aside in 0.0..0.9_f64, size in -20..20_i32) {
+            let scale = 10_f64.powi(size);
+            let (mut surface, mut graph) = (tube(), straight(0.0, 20.0, aside));
+            surface.mesh.vertices.iter_mut().for_each(|point| *point *= scale);
+            graph.nodes.iter_mut().for_each(|node| (node.position, node.radius) = (node.position * scale, scale));
+            for branch in &mut graph.branches {
+                branch.points.iter_mut().for_each(|point| *point *= scale);
+                branch.radii.iter_mut().for_each(|radius| *radius *= scale);
+            }
+            let (quality, warnings) = measured(&surface, &graph);
+            let Centeredness { mean, max, sections } = quality.centeredness;
+            prop_assert!(sections >= 29 && warnings.is_empty(), "{} {:?}", sections, warnings);
+            // A polygon of 96 sides has a little less area than its circle.
+            prop_assert!((mean.unwrap() - aside).abs() < 0.002 && (max.unwrap() - aside).abs() < 0.002);
+            prop_assert_eq!((quality.inside, quality.thinness), (1.0, true));
+        }
+    }
+}
