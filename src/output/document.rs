@@ -5,11 +5,11 @@ use std::collections::BTreeMap;
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
-use utoipa::openapi::schema::{ArrayBuilder, KnownFormat, ObjectBuilder, SchemaFormat, Type};
 
 use crate::centerline::{Branch, Centerline, Extraction, Node, NodeKind, ParameterKind, Parameters};
 use crate::mesh::Units;
 
+use super::schemas::{name_schema, points_schema, position_schema, units_schema};
 use super::{OutputError, QualityRecord};
 
 /// The value of the member `schema`.
@@ -260,36 +260,6 @@ fn branch(record: &BranchRecord, nodes: usize) -> Result<Branch, OutputError> {
         return Ok(Branch { from, to, points, radii: radii.clone() });
     };
     Err(OutputError::Inconsistent { detail })
-}
-
-fn name_schema() -> ObjectBuilder {
-    ObjectBuilder::new().schema_type(Type::String).enum_values(Some([SCHEMA]))
-}
-
-fn units_schema() -> ObjectBuilder {
-    ObjectBuilder::new()
-        .schema_type(Type::String)
-        .enum_values(Some(Units::ALL.map(Units::name)))
-        .description(Some("Unit of the input's coordinates, and so of every length here."))
-}
-
-/// utoipa forgets the length of `[f64; 3]`.
-fn position_schema() -> ArrayBuilder {
-    let number = ObjectBuilder::new()
-        .schema_type(Type::Number)
-        .format(Some(SchemaFormat::KnownFormat(KnownFormat::Double)));
-    ArrayBuilder::new()
-        .items(number)
-        .min_items(Some(3))
-        .max_items(Some(3))
-        .description(Some("x, y and z in the input's unit and frame"))
-}
-
-fn points_schema() -> ArrayBuilder {
-    ArrayBuilder::new()
-        .items(position_schema())
-        .min_items(Some(2))
-        .description(Some("At least two; the first and the last are the nodes' positions."))
 }
 
 #[cfg(test)]

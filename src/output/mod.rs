@@ -8,6 +8,7 @@ mod document;
 mod gltf;
 mod json;
 mod quality;
+mod schemas;
 
 pub use document::{
     BranchRecord, KindRecord, MethodRecord, NodeRecord, ParameterValue, ResultDocument, SCHEMA, Source,
