@@ -25,22 +25,25 @@ fn document(shift: [f64; 3], scale: f64) -> ResultDocument {
         })
         .collect();
     let ends = [place([20.0, 3.0, 25.0]), place([-11.0, 16.1, 25.3])];
-    let node = |kind, position, radius: f64| Node { kind, position, radius: scale * radius };
+    let node = |kind, position, radius: f64| Node {
+        kind,
+        position,
+        radius: scale * radius,
+        equivalent_radius: scale * 1.25 * radius,
+    };
     let nodes = vec![
         node(NodeKind::End, helix[0], 2.0),
         node(NodeKind::Junction, helix[200], 1.7),
         node(NodeKind::End, ends[0], 1.1),
         node(NodeKind::End, ends[1], 0.9),
     ];
-    let straight = |to: usize| Branch {
-        from: 1,
-        to,
-        points: vec![nodes[1].position, nodes[to].position],
-        radii: vec![nodes[1].radius, nodes[to].radius],
+    let straight = |to: usize| {
+        let radii = vec![nodes[1].radius, nodes[to].radius];
+        wide(Branch::new(1, to, vec![nodes[1].position, nodes[to].position], radii))
     };
     let taper = |step: usize| scale * (2.0 - 0.3 * step as f64 / 200.0);
     let radii = (0..helix.len()).map(taper).collect();
-    let branches = vec![Branch { from: 0, to: 1, points: helix, radii }, straight(2), straight(3)];
+    let branches = vec![wide(Branch::new(0, 1, helix, radii)), straight(2), straight(3)];
     let extraction = Extraction {
         centerline: Centerline { nodes, branches },
         surface: SurfaceSummary { components: 1, diagonal: 50.0 * scale, ..SurfaceSummary::default() },
@@ -55,6 +58,12 @@ fn document(shift: [f64; 3], scale: f64) -> ResultDocument {
     };
     let source = Source { name: None, format: "stl", sha256: &"0".repeat(64), units: Units::Millimetres };
     ResultDocument::new(&extraction, &source, &Parameters::default())
+}
+
+/// With sections a quarter wider than the spheres in them.
+fn wide(branch: Branch) -> Branch {
+    let equivalent_radii = branch.radii.iter().map(|radius| 1.25 * radius).collect();
+    Branch { equivalent_radii, ..branch }
 }
 
 /// The frames that the checks go through: at the origin, in metres, and far away.
@@ -142,10 +151,13 @@ fn the_gltf_crate_reads_every_point_and_radius_back() {
                     let place = std::array::from_fn(|axis| f64::from(point[axis]) + f64::from(offset[axis]));
                     assert!(distance(place, *known) < 1e-6 * document.source.diagonal, "{name}");
                 }
-                let radii = primitive.get(&gltf::Semantic::Extras("RADIUS".to_owned())).unwrap();
-                let radii = gltf::accessor::Iter::<f32>::new(radii, |_| Some(&buffer)).unwrap();
-                let known: Vec<_> = branch.radii.iter().map(|&radius| radius as f32).collect();
-                assert_eq!(radii.collect::<Vec<_>>(), known);
+                let kinds = [("RADIUS", &branch.radii), ("EQUIVALENT_RADIUS", &branch.equivalent_radii)];
+                for (name, known) in kinds {
+                    let radii = primitive.get(&gltf::Semantic::Extras(name.to_owned())).unwrap();
+                    let radii = gltf::accessor::Iter::<f32>::new(radii, |_| Some(&buffer)).unwrap();
+                    let known: Vec<_> = known.iter().map(|&radius| radius as f32).collect();
+                    assert_eq!(radii.collect::<Vec<_>>(), known);
+                }
             }
         }
     }

@@ -21,6 +21,8 @@ pub struct Node {
     pub position: Point3<f64>,
     /// Radius of the largest inscribed sphere at `position`, in the input's unit.
     pub radius: f64,
+    /// Radius of the circle that has the area of the widest branch's section here, in the input's unit.
+    pub equivalent_radius: f64,
 }
 
 /// A curve between two nodes (both ends at one node: a loop).
@@ -34,9 +36,16 @@ pub struct Branch {
     pub points: Vec<Point3<f64>>,
     /// Radius of the largest inscribed sphere at each point.
     pub radii: Vec<f64>,
+    /// Radius of the circle that has the section's area at each point; none is below the inscribed one.
+    pub equivalent_radii: Vec<f64>,
 }
 
 impl Branch {
+    /// A branch whose sections are circles, as far as it is known.
+    pub fn new(from: usize, to: usize, points: Vec<Point3<f64>>, radii: Vec<f64>) -> Self {
+        Self { from, to, points, equivalent_radii: radii.clone(), radii }
+    }
+
     /// Length along the points, in the input's unit.
     pub fn length(&self) -> f64 {
         self.points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()

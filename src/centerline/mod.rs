@@ -6,9 +6,12 @@ mod component;
 mod connection;
 mod control;
 mod cut_plane;
+mod equivalent_radius;
 mod error;
 mod graph;
 mod laplacian_smoothing;
+mod line_tree;
+mod own_sections;
 mod parameters;
 mod point_grid;
 mod preset_default;
@@ -35,7 +38,10 @@ pub use quality::{Centeredness, Homotopy, Quality};
 use crate::mesh::TriangleMesh;
 use crate::mesh::preparation::{PreparationError, PreparationReport, Prepared, Sites, Surface, prepare};
 use component::ComponentGraph;
-use quality::Measured;
+use line_tree::LineTree;
+use own_sections::own_sections;
+use quality::{Line, Measured};
+use triangle_grid::TriangleGrid;
 
 /// A component smaller than this share of the largest one's diagonal is a speck of the segmentation.
 const SPECK: f64 = 0.02;
@@ -82,8 +88,8 @@ pub fn extract(
             Preset::Paper => preset_paper::extract_component(surface, diagonal, parameters, control),
         };
         match found {
-            Ok(graph) => {
-                extraction.warnings.extend(measured.add(index, surface, &graph));
+            Ok(mut graph) => {
+                extraction.warnings.extend(settle_and_measure(&mut measured, index, surface, &mut graph));
                 append(&mut extraction, graph);
             }
             Err(ExtractError::Cancelled) => return Err(ExtractError::Cancelled),
@@ -103,6 +109,19 @@ pub fn extract(
         Some(error) if extraction.centerline.branches.is_empty() => Err(error),
         _ => Ok(extraction),
     }
+}
+
+/// Sets the equivalent radii of a component's line and measures how good it is; returns the warnings of what fails.
+fn settle_and_measure(
+    measured: &mut Measured,
+    index: usize,
+    surface: &Surface,
+    graph: &mut ComponentGraph,
+) -> Vec<Warning> {
+    let (grid, tree) = (TriangleGrid::new(surface), LineTree::new(graph));
+    let sections = own_sections(surface, &grid, &tree, graph);
+    equivalent_radius::settle(graph, &sections);
+    measured.add(index, Line { surface, grid: &grid, graph, tree: &tree, sections: &sections })
 }
 
 /// The part of the work that each component is, by its vertices; `None` for specks.

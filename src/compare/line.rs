@@ -155,13 +155,10 @@ mod tests {
     use super::*;
 
     fn graph(nodes: usize, branches: &[(usize, usize)]) -> Centerline {
-        let node = Node { kind: NodeKind::End, position: Point3::origin(), radius: 1.0 };
-        let branch = |&(from, to): &(usize, usize)| Branch {
-            from,
-            to,
-            points: vec![Point3::origin(); 2],
-            radii: vec![1.0; 2],
-        };
+        let node =
+            Node { kind: NodeKind::End, position: Point3::origin(), radius: 1.0, equivalent_radius: 1.0 };
+        let branch =
+            |&(from, to): &(usize, usize)| Branch::new(from, to, vec![Point3::origin(); 2], vec![1.0; 2]);
         Centerline { nodes: vec![node; nodes], branches: branches.iter().map(branch).collect() }
     }
 

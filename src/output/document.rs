@@ -92,6 +92,10 @@ pub struct NodeRecord {
     pub position: [f64; 3],
     /// Radius of the largest inscribed sphere.
     pub radius: f64,
+    /// Radius of the circle that has the area of the widest branch's section here.
+    #[serde(default)]
+    #[schema(required = true)]
+    pub equivalent_radius: f64,
     /// How many branch ends meet here; a branch that starts and ends here counts twice.
     pub degree: usize,
 }
@@ -121,6 +125,10 @@ pub struct BranchRecord {
     pub points: Vec<[f64; 3]>,
     /// Radius of the largest inscribed sphere at each point.
     pub radii: Vec<f64>,
+    /// Radius of the circle that has the section's area at each point; none is below the inscribed one.
+    #[serde(default)]
+    #[schema(required = true)]
+    pub equivalent_radii: Vec<f64>,
 }
 
 /// Something found about the surface or the line.
@@ -205,6 +213,7 @@ impl ResultDocument {
             },
             position: Point3::from(node.position),
             radius: node.radius,
+            equivalent_radius: node.equivalent_radius.max(node.radius),
         });
         let branches: Result<Vec<_>, _> =
             self.branches.iter().map(|record| branch(record, self.nodes.len())).collect();
@@ -233,6 +242,7 @@ fn node_records(centerline: &Centerline) -> Vec<NodeRecord> {
         },
         position: node.position.into(),
         radius: node.radius,
+        equivalent_radius: node.equivalent_radius,
         degree,
     };
     centerline.nodes.iter().zip(degrees).enumerate().map(record).collect()
@@ -246,18 +256,26 @@ fn branch_record((id, branch): (usize, &Branch)) -> BranchRecord {
         length: branch.length(),
         points: branch.points.iter().map(|&point| point.into()).collect(),
         radii: branch.radii.clone(),
+        equivalent_radii: branch.equivalent_radii.clone(),
     }
 }
 
 fn branch(record: &BranchRecord, nodes: usize) -> Result<Branch, OutputError> {
-    let &BranchRecord { id, from, to, ref points, ref radii, .. } = record;
+    let &BranchRecord { id, from, to, ref points, ref radii, ref equivalent_radii, .. } = record;
     let detail = if let Some(node) = [from, to].into_iter().find(|&node| node >= nodes) {
         format!("branch {id} names node {node} and there are {nodes} nodes")
     } else if points.len() < 2 || points.len() != radii.len() {
         format!("branch {id} has {} points and {} radii", points.len(), radii.len())
+    } else if ![0, points.len()].contains(&equivalent_radii.len()) {
+        format!("branch {id} has {} points and {} equivalent radii", points.len(), equivalent_radii.len())
     } else {
         let points = points.iter().map(|&point| Point3::from(point)).collect();
-        return Ok(Branch { from, to, points, radii: radii.clone() });
+        // A document that knows spheres alone has circles for sections.
+        let branch = Branch::new(from, to, points, radii.clone());
+        return Ok(match equivalent_radii.len() {
+            0 => branch,
+            _ => Branch { equivalent_radii: equivalent_radii.clone(), ..branch },
+        });
     };
     Err(OutputError::Inconsistent { detail })
 }
@@ -274,22 +292,22 @@ pub(in crate::output) mod tests {
     }
 
     fn of(parameters: &Parameters) -> ResultDocument {
-        let node = |kind, x: f64, y: f64, radius| Node { kind, position: Point3::new(x, y, 0.0), radius };
+        let node = |kind, x: f64, y: f64, radius| Node {
+            kind,
+            position: Point3::new(x, y, 0.0),
+            radius,
+            equivalent_radius: 1.5 * radius,
+        };
         let nodes = vec![
             node(NodeKind::End, -3.0, 0.0, 1.0),
             node(NodeKind::Junction, 0.0, 0.0, 0.9),
             node(NodeKind::End, 4.0, 3.0, 0.5),
             node(NodeKind::End, 4.0, -3.0, 0.25),
         ];
-        let branch = |from: usize, to: usize| Branch {
-            from,
-            to,
-            points: vec![
-                nodes[from].position,
-                nalgebra::center(&nodes[from].position, &nodes[to].position),
-                nodes[to].position,
-            ],
-            radii: vec![nodes[from].radius, 0.6, nodes[to].radius],
+        let branch = |from: usize, to: usize| {
+            let middle = nalgebra::center(&nodes[from].position, &nodes[to].position);
+            let points = vec![nodes[from].position, middle, nodes[to].position];
+            Branch::new(from, to, points, vec![nodes[from].radius, 0.6, nodes[to].radius])
         };
         let branches = vec![branch(0, 1), branch(1, 2), branch(1, 3)];
         let extraction = Extraction {
@@ -332,13 +350,18 @@ pub(in crate::output) mod tests {
     fn a_loop_at_one_node_counts_twice() {
         let point = |x, y| Point3::new(x, y, 0.0);
         let centerline = Centerline {
-            nodes: vec![Node { kind: NodeKind::Junction, position: point(1.0, 0.0), radius: 0.1 }],
-            branches: vec![Branch {
-                from: 0,
-                to: 0,
-                points: vec![point(1.0, 0.0), point(0.0, 1.0), point(-1.0, 0.0), point(1.0, 0.0)],
-                radii: vec![0.1; 4],
+            nodes: vec![Node {
+                kind: NodeKind::Junction,
+                position: point(1.0, 0.0),
+                radius: 0.1,
+                equivalent_radius: 0.1,
             }],
+            branches: vec![Branch::new(
+                0,
+                0,
+                vec![point(1.0, 0.0), point(0.0, 1.0), point(-1.0, 0.0), point(1.0, 0.0)],
+                vec![0.1; 4],
+            )],
         };
         assert_eq!(node_records(&centerline)[0].degree, 2);
     }

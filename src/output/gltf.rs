@@ -1,7 +1,7 @@
 //! glTF 2.0 (ISO/IEC 12113): one `LINE_STRIP` primitive a branch, with its radii.
 //!
-//! One node holds one mesh; each branch is a primitive of it with the attributes `POSITION`
-//! and `_RADIUS` (one float a point) and, in `extras`, its `id`, `from`, `to` and `length`.
+//! One node holds one mesh; each branch is a primitive of it with the attributes `POSITION`,
+//! `_RADIUS` (inscribed) and `_EQUIVALENT_RADIUS` (one float a point each) and, in `extras`, its `id`, `from`, `to` and `length`.
 //! The node's `extras` hold the schema, the unit, the graph's nodes in full precision and the quality.
 //!
 //! Positions are in the input's own unit and frame, not in glTF's metres, so that the line lies
@@ -64,7 +64,8 @@ pub fn write_gltf(document: &ResultDocument) -> Result<Vec<u8>, OutputError> {
     Ok(text)
 }
 
-/// The glTF root without its `buffers`, and the one buffer: all positions, then all radii.
+/// The glTF root without its `buffers`, and the one buffer: all positions, then all radii
+/// of either kind.
 fn scene(document: &ResultDocument) -> Result<(Value, Vec<u8>), OutputError> {
     check_finite(document)?;
     if document.branches.is_empty() {
@@ -73,20 +74,22 @@ fn scene(document: &ResultDocument) -> Result<(Value, Vec<u8>), OutputError> {
     let offset = offset(document);
     let mut accessors = Vec::new();
     let mut positions = Vec::new();
-    let mut radii = Vec::new();
+    let mut radii = [Vec::new(), Vec::new()];
     let mut primitives = Vec::new();
     for branch in &document.branches {
         let points = relative(branch, offset)?;
-        let values = narrow_radii(branch)?;
         let first = accessors.len();
         accessors.push(accessor(0, positions.len(), "VEC3", &points));
-        accessors.push(accessor(1, radii.len(), "SCALAR", &values));
         positions.extend(points.iter().flatten().flat_map(|value| value.to_le_bytes()));
-        radii.extend(values.iter().flatten().flat_map(|value| value.to_le_bytes()));
+        for (kind, of_kind) in [&branch.radii, &branch.equivalent_radii].into_iter().enumerate() {
+            let values = narrow_radii(branch, of_kind)?;
+            accessors.push(accessor(1 + kind, radii[kind].len(), "SCALAR", &values));
+            radii[kind].extend(values.iter().flatten().flat_map(|value| value.to_le_bytes()));
+        }
         primitives.push(json!({
             "mode": LINE_STRIP,
             "material": 0,
-            "attributes": { "POSITION": first, "_RADIUS": first + 1 },
+            "attributes": { "POSITION": first, "_RADIUS": first + 1, "_EQUIVALENT_RADIUS": first + 2 },
             "extras": { "id": branch.id, "from": branch.from, "to": branch.to, "length": branch.length },
         }));
     }
@@ -94,6 +97,7 @@ fn scene(document: &ResultDocument) -> Result<(Value, Vec<u8>), OutputError> {
         json!({ "buffer": 0, "byteOffset": start, "byteLength": length, "byteStride": stride,
                 "target": ARRAY_BUFFER })
     };
+    let lengths = [positions.len(), radii[0].len(), radii[1].len()];
     let root = json!({
         "asset": { "version": "2.0", "generator": concat!("Rosaline ", env!("CARGO_PKG_VERSION")) },
         "scene": 0,
@@ -103,9 +107,13 @@ fn scene(document: &ResultDocument) -> Result<(Value, Vec<u8>), OutputError> {
         "materials": [{ "name": "centerline", "pbrMetallicRoughness":
             { "baseColorFactor": [0.8, 0.05, 0.1, 1.0], "metallicFactor": 0.0 } }],
         "accessors": accessors,
-        "bufferViews": [view(0, positions.len(), 12), view(positions.len(), radii.len(), 4)],
+        "bufferViews": [
+            view(0, lengths[0], 12),
+            view(lengths[0], lengths[1], 4),
+            view(lengths[0] + lengths[1], lengths[2], 4),
+        ],
     });
-    positions.append(&mut radii);
+    radii.iter_mut().for_each(|of_kind| positions.append(of_kind));
     Ok((root, positions))
 }
 
@@ -151,8 +159,8 @@ fn relative(branch: &BranchRecord, offset: [f32; 3]) -> Result<Vec<[f32; 3]>, Ou
     Ok(points)
 }
 
-fn narrow_radii(branch: &BranchRecord) -> Result<Vec<[f32; 1]>, OutputError> {
-    let radii: Vec<[f32; 1]> = branch.radii.iter().map(|&radius| [radius as f32]).collect();
+fn narrow_radii(branch: &BranchRecord, radii: &[f64]) -> Result<Vec<[f32; 1]>, OutputError> {
+    let radii: Vec<[f32; 1]> = radii.iter().map(|&radius| [radius as f32]).collect();
     check_range(branch, radii.iter().flatten())?;
     Ok(radii)
 }
@@ -169,7 +177,7 @@ fn check_range<'a>(
 
 /// An accessor over `values` at `start` in a buffer view; its bounds are those of the floats
 /// as they are stored, which a validator compares bit by bit.
-fn accessor<const N: usize>(view: u32, start: usize, shape: &str, values: &[[f32; N]]) -> Value {
+fn accessor<const N: usize>(view: usize, start: usize, shape: &str, values: &[[f32; N]]) -> Value {
     let bound = |pick: fn(f32, f32) -> f32| -> Vec<f64> {
         let fold = |axis: usize| values.iter().map(|value| value[axis]).reduce(pick);
         (0..N).filter_map(fold).map(f64::from).collect()

@@ -33,12 +33,14 @@ pub(super) fn check_finite(document: &ResultDocument) -> Result<(), OutputError>
         return broken("the diagonal".to_owned());
     }
     for node in &document.nodes {
-        if !node.position.iter().chain([&node.radius]).all(|value| value.is_finite()) {
+        if !node.position.iter().chain([&node.radius, &node.equivalent_radius]).all(|value| value.is_finite())
+        {
             return broken(format!("node {}", node.id));
         }
     }
     for branch in &document.branches {
-        let numbers = branch.points.iter().flatten().chain(&branch.radii).chain([&branch.length]);
+        let numbers = branch.points.iter().flatten().chain(&branch.radii).chain(&branch.equivalent_radii);
+        let numbers = numbers.chain([&branch.length]);
         if !numbers.into_iter().all(|value| value.is_finite()) {
             return broken(format!("branch {}", branch.id));
         }

@@ -105,7 +105,8 @@ impl Skeleton {
 }
 
 fn add_node(graph: &mut Centerline, kind: NodeKind, vessel: &Vessel, place: usize) -> usize {
-    graph.nodes.push(Node { kind, position: vessel.points[place], radius: vessel.radii[place] });
+    let radius = vessel.radii[place];
+    graph.nodes.push(Node { kind, position: vessel.points[place], radius, equivalent_radius: radius });
     graph.nodes.len() - 1
 }
 
@@ -114,7 +115,7 @@ fn add_branches(graph: &mut Centerline, vessel: &Vessel, nodes: &[(usize, usize)
     let mut add = |places: Vec<usize>, from: usize, to: usize| {
         let points = places.iter().map(|&place| vessel.points[place]).collect();
         let radii = places.iter().map(|&place| vessel.radii[place]).collect();
-        graph.branches.push(Branch { from, to, points, radii });
+        graph.branches.push(Branch::new(from, to, points, radii));
     };
     for pair in nodes.windows(2) {
         add((pair[0].0..=pair[1].0).collect(), pair[0].1, pair[1].1);

@@ -180,7 +180,8 @@ impl Network {
             }
             name[index] = graph.nodes.len();
             let kind = if incident.len() == 1 { NodeKind::End } else { NodeKind::Junction };
-            graph.nodes.push(Node { kind, position: anchor.point, radius: anchor.radius });
+            let Anchor { point: position, radius } = anchor;
+            graph.nodes.push(Node { kind, position, radius, equivalent_radius: radius });
         }
         for track in &self.tracks {
             let (from, to) = (name[track.from], name[track.to]);
@@ -201,7 +202,7 @@ impl Network {
                 .chain([end.radius])
                 .collect();
             let (points, radii) = subsample(&points, &radii);
-            graph.branches.push(Branch { from, to, points, radii });
+            graph.branches.push(Branch::new(from, to, points, radii));
         }
         graph
     }

@@ -5,8 +5,8 @@ use rayon::prelude::*;
 
 use crate::mesh::preparation::Surface;
 
-use super::line_tree::LineTree;
 use crate::centerline::graph::Warning;
+use crate::centerline::line_tree::LineTree;
 
 /// Farthest that covered wall lies, in radii of the line there.
 const NEAR: f64 = 1.5;

@@ -90,9 +90,9 @@ mod tests {
     use crate::mesh::preparation::prepare;
 
     fn graph(nodes: usize, branches: &[(usize, usize)]) -> ComponentGraph {
-        let node = Node { kind: NodeKind::End, position: Point3::origin(), radius: 1.0 };
-        let branch =
-            |&(from, to): &(usize, usize)| Branch { from, to, points: Vec::new(), radii: Vec::new() };
+        let node =
+            Node { kind: NodeKind::End, position: Point3::origin(), radius: 1.0, equivalent_radius: 1.0 };
+        let branch = |&(from, to): &(usize, usize)| Branch::new(from, to, Vec::new(), Vec::new());
         ComponentGraph {
             nodes: vec![node; nodes],
             branches: branches.iter().map(branch).collect(),

@@ -7,19 +7,19 @@ mod centeredness;
 mod coverage;
 mod homotopy;
 mod inside;
-mod line_tree;
 mod thinness;
 
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::graph::Warning;
+use crate::centerline::line_tree::LineTree;
+use crate::centerline::own_sections::OwnSection;
 use crate::centerline::triangle_grid::TriangleGrid;
 use centeredness::Offsets;
 use coverage::Covered;
 pub use homotopy::Homotopy;
 use inside::Inside;
-use line_tree::LineTree;
 
 /// What was measured of a whole result.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -35,7 +35,7 @@ pub struct Quality {
 }
 
 /// Distance of the line's points from the centroids of their sections, in radii of the circles that have the
-/// sections' areas; [`centeredness`] says which points count.
+/// sections' areas; [`super::own_sections`] says which points count.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Centeredness {
     /// `None` where no point counts.
@@ -43,6 +43,16 @@ pub struct Centeredness {
     pub max: Option<f64>,
     /// How many points count.
     pub sections: usize,
+}
+
+/// The line of one component, and what it is measured with.
+#[derive(Debug, Clone, Copy)]
+pub struct Line<'a> {
+    pub surface: &'a Surface,
+    pub grid: &'a TriangleGrid<'a>,
+    pub graph: &'a ComponentGraph,
+    pub tree: &'a LineTree,
+    pub sections: &'a [OwnSection],
 }
 
 /// Sums over the components that have a line.
@@ -59,19 +69,18 @@ pub struct Measured {
 impl Measured {
     /// Adds the line of component `index`; returns the warnings of what fails.
     ///
-    /// O(triangles + points of the line x (triangles of a section + log segments)).
-    pub fn add(&mut self, index: usize, surface: &Surface, graph: &ComponentGraph) -> Vec<Warning> {
-        let grid = TriangleGrid::new(surface);
-        let line = LineTree::new(graph);
+    /// O(points of the line x (triangles nearby + log segments)).
+    pub fn add(&mut self, index: usize, line: Line<'_>) -> Vec<Warning> {
+        let Line { surface, grid, graph, tree, sections } = line;
         let homotopy = Homotopy::of(surface, graph);
-        let inside = inside::measure(&grid, graph);
-        let covered = coverage::measure(surface, &line);
-        let warnings = [homotopy.warning(index), inside.warning(index), covered.warning(index, &line)];
-        self.offsets.add(&centeredness::measure(surface, &grid, &line, graph));
+        let inside = inside::measure(grid, graph);
+        let covered = coverage::measure(surface, tree);
+        let warnings = [homotopy.warning(index), inside.warning(index), covered.warning(index, tree)];
+        self.offsets.add(&centeredness::measure(sections));
         self.homotopy.add(&homotopy);
         self.inside.add(&inside);
         self.covered.add(&covered);
-        self.thick |= !thinness::is_thin(&line, graph);
+        self.thick |= !thinness::is_thin(tree, graph);
         self.components += 1;
         warnings.into_iter().flatten().collect()
     }
@@ -97,21 +106,22 @@ mod tests {
 
     use super::*;
     use crate::centerline::graph::{Branch, Node, NodeKind};
+    use crate::centerline::own_sections::own_sections;
     use crate::centerline::shapes::{open_tube, torus};
     use crate::centerline::test_surfaces::closed_surface;
 
     /// One branch of radius 1 through `points`, between two ends or round one seam.
     fn line(points: Vec<Point3<f64>>, ring: bool) -> ComponentGraph {
-        let node = |position: &Point3<f64>| Node { kind: NodeKind::End, position: *position, radius: 1.0 };
+        let node = |position: &Point3<f64>| Node {
+            kind: NodeKind::End,
+            position: *position,
+            radius: 1.0,
+            equivalent_radius: 1.0,
+        };
         let ends = if ring { vec![&points[0]] } else { vec![&points[0], &points[points.len() - 1]] };
         ComponentGraph {
             nodes: ends.into_iter().map(node).collect(),
-            branches: vec![Branch {
-                from: 0,
-                to: usize::from(!ring),
-                radii: vec![1.0; points.len()],
-                points,
-            }],
+            branches: vec![Branch::new(0, usize::from(!ring), points.clone(), vec![1.0; points.len()])],
             ..ComponentGraph::default()
         }
     }
@@ -124,7 +134,9 @@ mod tests {
 
     fn measured(surface: &Surface, graph: &ComponentGraph) -> (Quality, Vec<&'static str>) {
         let mut sum = Measured::default();
-        let warnings = sum.add(0, surface, graph);
+        let (grid, tree) = (TriangleGrid::new(surface), LineTree::new(graph));
+        let sections = &own_sections(surface, &grid, &tree, graph);
+        let warnings = sum.add(0, Line { surface, grid: &grid, graph, tree: &tree, sections });
         (sum.quality().unwrap(), warnings.iter().map(|warning| warning.code).collect())
     }
 

@@ -9,8 +9,8 @@
 
 use rayon::prelude::*;
 
-use super::line_tree::{LineTree, Segment};
 use crate::centerline::component::ComponentGraph;
+use crate::centerline::line_tree::{LineTree, Segment};
 
 /// Least length of a segment, in local radii.
 const LEAST: f64 = 1e-6;

@@ -47,7 +47,7 @@ pub fn page() -> Value {
     })
 }
 
-/// The centerline of a tube.
+/// The centerline of a slightly flat tube.
 pub fn centerline() -> Value {
     json!({
         "schema": "rosaline.centerline/1", "units": "mm",
@@ -58,13 +58,18 @@ pub fn centerline() -> Value {
         },
         "method": {"preset": "default", "parameters": parameters(), "version": env!("CARGO_PKG_VERSION")},
         "nodes": [
-            {"id": 0, "kind": "end", "position": [0.0, 0.0, 0.0], "radius": 1.0, "degree": 1},
-            {"id": 1, "kind": "end", "position": [20.0, 0.0, 0.0], "radius": 1.0, "degree": 1},
+            {"id": 0, "kind": "end", "position": [0.0, 0.0, 0.0], "radius": 1.0, "equivalent_radius": 1.2, "degree": 1},
+            {"id": 1, "kind": "end", "position": [20.0, 0.0, 0.0], "radius": 1.0, "equivalent_radius": 1.2, "degree": 1},
         ],
         "branches": [{
             "id": 0, "from": 0, "to": 1, "length": 20.0,
             "points": [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [20.0, 0.0, 0.0]], "radii": [1.0, 1.0, 1.0],
+            "equivalent_radii": [1.2, 1.2, 1.2],
         }],
+        "quality": {
+            "homotopy": {"components": 1, "genus": 0, "parts": 1, "loops": 0, "equal": true}, "inside": 1.0,
+            "centeredness": {"mean": 0.0004, "max": 0.0016, "sections": 28}, "coverage": 1.0, "thinness": true,
+        },
         "warnings": [],
     })
 }
