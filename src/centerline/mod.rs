@@ -36,7 +36,9 @@ pub use parameters::{ParameterError, ParameterKind, ParameterSpec, Parameters, P
 pub use quality::{Centeredness, Homotopy, Quality};
 
 use crate::mesh::TriangleMesh;
-use crate::mesh::preparation::{PreparationError, PreparationReport, Prepared, Sites, Surface, prepare};
+use crate::mesh::preparation::{
+    PreparationError, PreparationReport, Prepared, Sites, Surface, prepare_while,
+};
 use component::ComponentGraph;
 use line_tree::LineTree;
 use own_sections::own_sections;
@@ -58,7 +60,7 @@ pub fn extract(
     control: &Control<'_>,
 ) -> Result<Extraction, ExtractError> {
     control.report(Stage::Preparation, 0.0)?;
-    let mut prepared = prepare(mesh)?;
+    let mut prepared = prepare_while(mesh, || control.cancel.check())?;
     control.report(Stage::Preparation, 1.0)?;
     let diagonal = prepared.report.diagonal;
     // Lengths are kept in single precision on the way, squares in double.

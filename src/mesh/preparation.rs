@@ -88,10 +88,22 @@ pub struct PreparationReport {
 /// Degenerate and duplicate triangles go, orientation is made consistent and outward, edges and
 /// vertices where surfaces touch come apart, openings are capped. O(n log n).
 pub fn prepare(mesh: &TriangleMesh) -> Result<Prepared, PreparationError> {
+    prepare_while(mesh, || Ok(()))
+}
+
+/// The same, as long as `go_on` is no error: it is asked between the steps, each a few passes over the mesh.
+///
+/// # Errors
+/// Those of [`prepare`], and that of `go_on`.
+pub fn prepare_while<E: From<PreparationError>>(
+    mesh: &TriangleMesh,
+    go_on: impl Fn() -> Result<(), E>,
+) -> Result<Prepared, E> {
     if mesh.triangles.is_empty() {
-        return Err(PreparationError::NoTriangles);
+        return Err(PreparationError::NoTriangles.into());
     }
     check(mesh)?;
+    go_on()?;
     let mut report = PreparationReport {
         vertices: mesh.vertices.len(),
         triangles: mesh.triangles.len(),
@@ -102,17 +114,21 @@ pub fn prepare(mesh: &TriangleMesh) -> Result<Prepared, PreparationError> {
     let mut soup = TriangleMesh { vertices: mesh.vertices.clone(), triangles };
     report.diagonal = diagonal(&soup);
     if soup.triangles.iter().all(|t| area(&soup, t) <= 1e-14 * report.diagonal * report.diagonal) {
-        return Err(PreparationError::AllDegenerate { triangles: mesh.triangles.len() });
+        return Err(PreparationError::AllDegenerate { triangles: mesh.triangles.len() }.into());
     }
+    go_on()?;
     let (mut opposite, matching) = match_half_edges(&mut soup);
     report.matching = MatchReport {
         flipped: matching.flipped.renamed(&kept),
         non_manifold_edges: matching.non_manifold_edges.renamed(&kept),
         conflicting_edges: matching.conflicting_edges.renamed(&kept),
     };
+    go_on()?;
     report.split_vertices = split_fans(&mut soup, &opposite);
+    go_on()?;
     let openings = cap(&mut soup, &mut opposite);
-    let components = split_components(soup, opposite, openings, &mut report);
+    go_on()?;
+    let components = split_components(soup, opposite, openings, &mut report, go_on)?;
     Ok(Prepared { components, report })
 }
 
@@ -200,18 +216,21 @@ fn fan(opposite: &[u32], start: u32) -> Vec<u32> {
 }
 
 /// Cuts the closed soup into its connected components, each oriented outward.
-fn split_components(
+fn split_components<E>(
     soup: TriangleMesh,
     opposite: Vec<u32>,
     openings: Vec<CappedOpening>,
     report: &mut PreparationReport,
-) -> Vec<Surface> {
+    go_on: impl Fn() -> Result<(), E>,
+) -> Result<Vec<Surface>, E> {
     let (component, members) = component_triangles(&opposite, soup.triangles.len());
     let mut vertex_name = vec![NONE; soup.vertices.len()];
     let mut triangle_name = vec![NONE; soup.triangles.len()];
     let mut surfaces = Vec::with_capacity(members.len());
     for triangles in &members {
+        go_on()?;
         let vertices = walk(&soup, &opposite, triangles, &mut vertex_name);
+        go_on()?;
         let mut mesh = TriangleMesh { vertices, triangles: Vec::new() };
         mesh.triangles.reserve(triangles.len());
         for (i, &t) in triangles.iter().enumerate() {
@@ -223,6 +242,7 @@ fn split_components(
             let o = opposite[h as usize];
             local.push(3 * triangle_name[(o / 3) as usize] + o % 3);
         }
+        go_on()?;
         if signed_volume(&mesh) < 0.0 {
             report.inverted_components += 1;
             local = invert(&mut mesh, &local);
@@ -230,12 +250,13 @@ fn split_components(
         let corners = CornerTable::new(&mesh.triangles, local, mesh.vertices.len());
         surfaces.push(Surface { mesh, corners, openings: Vec::new() });
     }
+    go_on()?;
     for CappedOpening { mut opening, triangle } in openings {
         opening.centre = vertex_name[opening.centre as usize];
         opening.rim.iter_mut().for_each(|v| *v = vertex_name[*v as usize]);
         surfaces[component[triangle as usize] as usize].openings.push(opening);
     }
-    surfaces
+    Ok(surfaces)
 }
 
 /// Each triangle's component, and each component's triangles in ascending order.
