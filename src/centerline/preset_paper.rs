@@ -94,7 +94,9 @@ fn extract_in_frame(
 
 /// A component's own frame: cells of points lie in it, so that a vessel that lies otherwise falls into the same ones.
 struct Frame {
-    origin: Point3<f64>,
+    first: Point3<f64>,
+    /// From the first vertex: differences of vertices lose no digits, wherever the vessel lies.
+    middle: Vector3<f64>,
     axes: Rotation3<f64>,
 }
 
@@ -103,12 +105,15 @@ impl Frame {
     /// axis to the vertex farthest from it.
     fn of(positions: &[Point3<f64>]) -> Self {
         let Some(&first) = positions.first() else {
-            return Self { origin: Point3::origin(), axes: Rotation3::identity() };
+            return Self { first: Point3::origin(), middle: Vector3::zeros(), axes: Rotation3::identity() };
         };
         let sum: Vector3<f64> = positions.iter().map(|point| point - first).sum();
-        let origin = first + sum / positions.len() as f64;
-        let along = (first - origin).try_normalize(0.0).unwrap_or_else(Vector3::z);
-        let across = |point: &Point3<f64>| (point - origin) - along * (point - origin).dot(&along);
+        let middle = sum / positions.len() as f64;
+        let along = (-middle).try_normalize(0.0).unwrap_or_else(Vector3::z);
+        let across = |point: &Point3<f64>| {
+            let offset = (point - first) - middle;
+            offset - along * offset.dot(&along)
+        };
         let farthest = |best: Vector3<f64>, point: &Point3<f64>| {
             let offset = across(point);
             if offset.norm_squared() > best.norm_squared() { offset } else { best }
@@ -117,21 +122,21 @@ impl Frame {
         if side.norm_squared() == 0.0 {
             side = Vector3::ith(along.iamin(), 1.0);
         }
-        Self { origin, axes: Rotation3::face_towards(&along, &side) }
+        Self { first, middle, axes: Rotation3::face_towards(&along, &side) }
     }
 
     /// The surface in this frame.
     fn seen(&self, surface: &Surface) -> Surface {
         let mut own = surface.clone();
         for point in &mut own.mesh.vertices {
-            *point = Point3::from(self.axes.inverse_transform_vector(&(*point - self.origin)));
+            *point = Point3::from(self.axes.inverse_transform_vector(&((*point - self.first) - self.middle)));
         }
         own
     }
 
     /// A point of this frame in the input's.
     fn back(&self, point: &Point3<f64>) -> Point3<f64> {
-        self.origin + self.axes * point.coords
+        self.first + (self.middle + self.axes * point.coords)
     }
 }
 
