@@ -14,8 +14,9 @@ use crate::surfaces::*;
 const SAME: f64 = 1e-6;
 /// The same for another order of vertices and triangles.
 const SHUFFLED: f64 = 1e-3;
-/// The same for a turn and the preset `paper`: rounding moves single vertices from one sample to the next.
-const PAPER: f64 = 1e-3;
+/// The same for a turn and the preset `paper`: rounding moves single vertices from one sample to the next, which was
+/// seen to move a joint by 3.4e-3.
+const PAPER: f64 = 5e-3;
 
 /// What can be done to a surface without making it another vessel.
 #[derive(Debug, Clone)]
