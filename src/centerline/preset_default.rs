@@ -16,10 +16,11 @@ use crate::centerline::cut_plane::bulges::{line_through, round_bulge};
 use crate::centerline::cut_plane::cross_sections::{judge_outward, recut, settle};
 use crate::centerline::cut_plane::march::{Toward, close_ring, fill_gaps, march};
 use crate::centerline::cut_plane::ownership::{Wall, owners};
-use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, smooth, smooth_ring};
+use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, observe, smooth, smooth_ring};
+use crate::centerline::recentering::approach::{Approach, run_up};
 use crate::centerline::recentering::displaced::settle_displaced;
 use crate::centerline::recentering::ends::{EndPoint, end_point, far_wall};
-use crate::centerline::recentering::joints::{Approach, joint_centre, run_to_centre};
+use crate::centerline::recentering::joints::{joint_centre, run_to_centre};
 use crate::centerline::segmentation::level_sets::LevelSet;
 use crate::centerline::segmentation::track::{Sight, Track, rings, stations_of};
 use crate::centerline::tips::geodesic::{EdgeGraph, geodesic};
@@ -55,6 +56,7 @@ pub fn extract_component(
     control.report(Stage::LaplacianSmoothing, 0.0)?;
     network.tracks.par_iter_mut().for_each(|track| {
         track.stiffness = choose_stiffness(&track.stations);
+        track.process = observe(&track.stations);
         smooth(track, None, None);
     });
     control.report(Stage::Recentering, 0.0)?;
@@ -249,7 +251,8 @@ fn meet(surface: &Surface, owners: &[u32], network: &mut Network, node: usize) {
     }
     let mut approaches: Vec<Approach> = Vec::with_capacity(incident.len());
     for &(track, at_end) in &incident {
-        approaches.extend(network.oriented(track, at_end, |track| Approach::of(track)));
+        let before = run_up(network, track, at_end);
+        approaches.extend(network.oriented(track, at_end, |track| Approach::of(track, &before)));
     }
     let on_wall = surface.mesh.vertices[network.nodes[node].vertex as usize];
     let prior = network.prior(&incident).unwrap_or(on_wall);

@@ -6,6 +6,7 @@ use crate::centerline::component::ComponentGraph;
 use crate::centerline::connection::subsampling::{Anchor, subsample};
 use crate::centerline::graph::{Branch, Node, NodeKind};
 use crate::centerline::laplacian_smoothing::branch::FIRM;
+use crate::centerline::laplacian_smoothing::continuation::Process;
 use crate::centerline::segmentation::track::Track;
 use crate::centerline::tips::Chain;
 use crate::centerline::tips::reeb::ReebGraph;
@@ -46,6 +47,7 @@ impl Network {
             stations: Vec::new(),
             bulge: None,
             stiffness: FIRM,
+            process: Process::default(),
         };
         let tracks = chains.iter().enumerate().map(track).collect();
         Self { nodes, tracks }

@@ -77,7 +77,16 @@ mod tests {
         };
         let stations = (1..40).map(station).collect();
         let rings = Vec::new();
-        let track = Track { chain: 0, from: 0, to: 1, rings, stations, bulge: None, stiffness: 1.0 };
+        let track = Track {
+            chain: 0,
+            from: 0,
+            to: 1,
+            rings,
+            stations,
+            bulge: None,
+            stiffness: 1.0,
+            process: Process::default(),
+        };
         let node = |z: f64| NetworkNode {
             vertex: 0,
             anchor: Some(Anchor { point: Point3::new(0.0, 0.0, z), radius: 1.0 }),

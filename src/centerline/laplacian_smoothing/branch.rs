@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Point3};
 use crate::centerline::connection::subsampling::Anchor;
 use crate::centerline::segmentation::track::{SPACING, Sight, Station, Track, tangents, update_tangents};
 
+use super::continuation::Process;
 use super::curve_fit::fit_curve;
 
 /// Stiffness where no section is clean: waves shorter than about six radii are noise of the wall.
@@ -45,6 +46,19 @@ pub fn choose_stiffness(stations: &[Station]) -> f64 {
     let scored = LADDER.map(|stiffness| (stiffness, score(stiffness)));
     let best = scored.into_iter().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(FIRM, |(stiffness, _)| stiffness);
     best.max(least_stiffness(grain / spacing))
+}
+
+/// How the branch bends and how noisy its clean sections are. Sections that cut the same triangles err alike:
+/// of those only one is heard.
+pub fn observe(stations: &[Station]) -> Process {
+    let mut heard: Vec<&Station> = Vec::new();
+    for station in stations.iter().filter(|s| s.sight == Sight::Clean) {
+        let far = |last: &&Station| (station.target - last.target).norm() > station.shape.grain;
+        if heard.last().is_none_or(far) {
+            heard.push(station);
+        }
+    }
+    Process::of(&heard.iter().map(|s| (s.target, s.section_radius)).collect::<Vec<_>>())
 }
 
 /// The stiffness that halves waves of [`WAVE`] triangles, `grain` stations each: sections that cut the

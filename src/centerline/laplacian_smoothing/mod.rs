@@ -4,6 +4,7 @@
 //! neighbouring segments come together in the joint.
 
 pub mod branch;
+pub mod continuation;
 pub mod curve_fit;
 
 use nalgebra::{Point3, Vector3};

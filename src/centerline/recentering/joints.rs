@@ -13,77 +13,11 @@ use crate::centerline::cut_plane::march::{Toward, march};
 use crate::centerline::cut_plane::ownership::Wall;
 use crate::centerline::cut_plane::section::{Frame, Profile};
 use crate::centerline::cut_plane::wall_fit::judge;
-use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
+use crate::centerline::recentering::approach::{Approach, best_guess, seen_well};
 use crate::centerline::segmentation::level_sets::LevelSet;
 use crate::centerline::segmentation::track::{
-    Bulge, SPACING, Sight, Station, Track, section_from_rings, update_tangents,
+    SPACING, Sight, Station, Track, section_from_rings, update_tangents,
 };
-
-/// How far back (radii) the bend of a branch is measured.
-const BEND_REACH: f64 = 3.0;
-/// How far a bend is continued, in radii: farther on nothing is known of it.
-const BENT: f64 = 3.0;
-/// Uncertainty of a continued line: at its start, and per length continued (radii).
-const DOUBT: (f64, f64) = (0.1, 0.2);
-
-/// A branch's line where it runs toward a joint.
-#[derive(Debug, Clone, Copy)]
-pub struct Approach {
-    end: CurveEnd,
-    /// Radius of its last section.
-    radius: f64,
-    /// A bulge says where along the vessel it sits, not where the axis is.
-    bulge: bool,
-}
-
-impl Approach {
-    /// The line at the end of a track, from the stations that see their wall.
-    pub fn of(track: &Track) -> Option<Self> {
-        if let Some(Bulge { centre, radius }) = track.bulge {
-            let end = CurveEnd { point: centre, tangent: Vector3::zeros(), curvature: Vector3::zeros() };
-            return Some(Self { end, radius, bulge: true });
-        }
-        let last = track.stations.iter().rposition(seen_well)?;
-        let station = &track.stations[last];
-        let points: Vec<Point3<f64>> = track.stations[..=last].iter().map(best_guess).collect();
-        let radius = station.section_radius;
-        let mut end = CurveEnd::of(&points, BEND_REACH * radius).unwrap_or(CurveEnd {
-            point: station.point,
-            tangent: *station.tangent,
-            curvature: Vector3::zeros(),
-        });
-        // A bend tighter than this is noise of a short run.
-        let bend = end.curvature.norm() * radius;
-        end.curvature *= 0.8 * (0.2 / bend.max(0.2));
-        Some(Self { end, radius, bulge: false })
-    }
-
-    /// The continued line at distance `s` past its start: the branch's bend for a short way, then straight.
-    fn at(&self, s: f64) -> (Point3<f64>, Vector3<f64>) {
-        let bent = s.clamp(-BENT * self.radius, BENT * self.radius);
-        let (point, direction) = self.end.at(bent);
-        (point + direction * (s - bent), direction)
-    }
-
-    /// Parameter of the point on the continued line nearest to `centre`, not behind its start.
-    fn nearest(&self, centre: &Point3<f64>) -> f64 {
-        let mut s: f64 = 0.0;
-        for _ in 0..4 {
-            let (point, direction) = self.at(s);
-            s = (s + (centre - point).dot(&direction)).clamp(-3.0 * self.radius, 12.0 * self.radius);
-        }
-        s
-    }
-}
-
-/// The smoothed point of a clean section; of a partial one its own target, which no joint has pulled at yet.
-fn best_guess(station: &Station) -> Point3<f64> {
-    if station.sight == Sight::Clean { station.point } else { station.target }
-}
-
-fn seen_well(station: &Station) -> bool {
-    station.sight == Sight::Clean || (station.sight == Sight::Partial && station.weight.trace() > 0.8)
-}
 
 /// The point nearest to all the approaches; `prior` holds what they leave open.
 pub fn joint_centre(approaches: &[Approach], prior: &Point3<f64>) -> Point3<f64> {
@@ -94,16 +28,20 @@ pub fn joint_centre(approaches: &[Approach], prior: &Point3<f64>) -> Point3<f64>
         let hold = 1.0 / (2.0 * largest).powi(2);
         let mut normal = Matrix3::identity() * hold;
         let mut right = prior.coords * hold;
-        for approach in approaches {
+        let places: Vec<f64> = approaches.iter().map(|approach| approach.nearest(&centre)).collect();
+        let directions: Vec<Vector3<f64>> =
+            approaches.iter().zip(&places).map(|(approach, &s)| approach.line.at(s).1).collect();
+        for (number, approach) in approaches.iter().enumerate() {
             if approach.bulge {
                 let level = through * through.transpose() / (approach.radius * approach.radius);
                 normal += level;
-                right += level * approach.end.point.coords;
+                right += level * approach.line.at(0.0).0.coords;
                 continue;
             }
-            let s = approach.nearest(&centre);
-            let (point, direction) = approach.at(s);
-            let doubt = DOUBT.0 * approach.radius + DOUBT.1 * s.max(0.0);
+            let s = places[number];
+            let (point, _) = approach.line.at(s);
+            let direction = agreed(&directions, number);
+            let doubt = approach.doubt(s);
             let across = (Matrix3::identity() - direction * direction.transpose()) / (doubt * doubt);
             normal += across;
             right += across * point.coords;
@@ -114,18 +52,29 @@ pub fn joint_centre(approaches: &[Approach], prior: &Point3<f64>) -> Point3<f64>
     centre
 }
 
+/// The direction of one of the lines, agreed upon with the line that continues it: where two cross at a
+/// small angle says nothing of the joint.
+fn agreed(directions: &[Vector3<f64>], number: usize) -> Vector3<f64> {
+    /// Angle (radians) that is half a bend of one vessel, half a meeting of two.
+    const SMALL: f64 = 0.4;
+    let own = directions[number];
+    let others = directions.iter().enumerate().filter(|&(other, _)| other != number).map(|(_, other)| -other);
+    let Some(onward) = others.min_by(|a, b| own.dot(b).total_cmp(&own.dot(a))) else { return own };
+    let angle = own.angle(&onward);
+    let share = 0.5 * (-(angle / SMALL).powi(2)).exp();
+    (own * (1.0 - share) + onward * share).try_normalize(0.0).unwrap_or(own)
+}
+
 /// Direction of the vessel that passes through a joint: that of the two most opposite approaches.
 fn through_direction(approaches: &[Approach]) -> Vector3<f64> {
     let lines: Vec<&Approach> = approaches.iter().filter(|a| !a.bulge).collect();
     let mut best = (f64::INFINITY, Vector3::zeros());
     for (i, a) in lines.iter().enumerate() {
         for b in &lines[i + 1..] {
-            let cosine = a.end.tangent.dot(&b.end.tangent);
+            let (along, other) = (a.line.at(0.0).1, b.line.at(0.0).1);
+            let cosine = along.dot(&other);
             if cosine < best.0 {
-                best = (
-                    cosine,
-                    (a.end.tangent - b.end.tangent).try_normalize(0.0).unwrap_or_else(Vector3::zeros),
-                );
+                best = (cosine, (along - other).try_normalize(0.0).unwrap_or_else(Vector3::zeros));
             }
         }
     }
@@ -146,14 +95,15 @@ pub fn run_to_centre(
     track.stations.truncate(last_seen + 1);
     drop_passed(&mut track.stations, centre);
     rejudge_partial(surface, track, rings);
-    let Some(approach) = Approach::of(track) else { return };
+    let Some(approach) = Approach::of(track, &[]) else { return };
     let Some(last) = track.stations.last() else { return };
     let (mut like, expected, radius) = (last.frame.u, last.profile.clone(), last.section_radius);
     let start = best_guess(last);
     let distance = (centre - start).norm();
     let count = ((distance / (SPACING * radius)).round() as usize).clamp(1, 64);
-    let (_, arrival) = approach.at(distance);
-    let handles = [start + approach.end.tangent * (distance / 3.0), centre - arrival * (distance / 3.0)];
+    let (_, departure) = approach.line.at(0.0);
+    let (_, arrival) = approach.line.at(distance);
+    let handles = [start + departure * (distance / 3.0), centre - arrival * (distance / 3.0)];
     for i in 1..count {
         let (point, direction) = bezier(&[start, handles[0], handles[1], *centre], i as f64 / count as f64);
         let Some(tangent) = Unit::try_new(direction, 0.0) else { continue };
@@ -245,14 +195,8 @@ mod tests {
     #[test]
     fn lines_through_a_point_meet_there() {
         let meeting = Point3::new(1.0, 2.0, 3.0);
-        let approach = |direction: Vector3<f64>| Approach {
-            end: CurveEnd {
-                point: meeting - direction.normalize() * 4.0,
-                tangent: direction.normalize(),
-                curvature: Vector3::zeros(),
-            },
-            radius: 1.0,
-            bulge: false,
+        let approach = |direction: Vector3<f64>| {
+            Approach::straight(meeting - direction.normalize() * 4.0, direction.normalize(), 1.0)
         };
         let all = [Vector3::new(0.0, 0.0, 1.0), Vector3::new(1.0, 0.2, -0.4), Vector3::new(-1.0, 0.3, -0.6)];
         let centre = joint_centre(&all.map(approach), &Point3::new(1.5, 2.0, 2.5));

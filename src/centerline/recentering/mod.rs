@@ -1,5 +1,6 @@
 //! Re-centering of the branches' centerline points, and the collapse of a joint's to its centre (IV.D, eq. 10).
 
+pub mod approach;
 pub mod displaced;
 pub mod ends;
 pub mod joint_collapse;

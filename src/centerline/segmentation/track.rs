@@ -6,6 +6,7 @@ use crate::mesh::preparation::Surface;
 
 use crate::centerline::cut_plane::section::{Frame, Profile, SEEDS, Section, section, walk_to_plane};
 use crate::centerline::cut_plane::wall_shape::WallShape;
+use crate::centerline::laplacian_smoothing::continuation::Process;
 use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
 use crate::centerline::tips::Chain;
 use crate::centerline::tips::reeb::ReebGraph;
@@ -90,6 +91,8 @@ pub struct Track {
     pub bulge: Option<Bulge>,
     /// How stiffly its line is smoothed (see [`crate::centerline::laplacian_smoothing::branch`]).
     pub stiffness: f64,
+    /// How its line bends, and how noisy its sections are.
+    pub process: Process,
 }
 
 /// The level sets of a chain, one every [`SPACING`] radii. O(edges crossed).
