@@ -20,9 +20,10 @@ use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, observe, 
 use crate::centerline::recentering::approach::{Approach, run_up};
 use crate::centerline::recentering::displaced::settle_displaced;
 use crate::centerline::recentering::ends::{EndPoint, end_point, far_wall};
+use crate::centerline::recentering::joint_fit::{FittedJoint, fit_joint};
 use crate::centerline::recentering::joints::{joint_centre, run_to_centre};
 use crate::centerline::segmentation::level_sets::LevelSet;
-use crate::centerline::segmentation::track::{Sight, Track, rings, stations_of};
+use crate::centerline::segmentation::track::{SPACING, Sight, Station, Track, rings, stations_of};
 use crate::centerline::tips::geodesic::{EdgeGraph, geodesic};
 use crate::centerline::tips::reeb::{ReebGraph, reeb_graph};
 use crate::centerline::tips::root::{Among, roots};
@@ -62,6 +63,7 @@ pub fn extract_component(
     control.report(Stage::Recentering, 0.0)?;
     reach_ends(surface, &mut network, control)?;
     meet_in_joints(surface, &owners, &mut network, control)?;
+    fit_joints(surface, &mut network, control)?;
     control.report(Stage::Connection, 0.0)?;
     let mut result = network.connect();
     result.warnings.extend(unsupported::check(&network));
@@ -292,6 +294,45 @@ fn lead_in(
         if network.tracks[track].bulge.is_none() {
             network.oriented(track, at_end, |track| run_to_centre(surface, owners, track, centre, &rings));
         }
+    }
+}
+
+/// Fits the joints to all the wall around them.
+fn fit_joints(surface: &Surface, network: &mut Network, control: &Control<'_>) -> Result<(), ExtractError> {
+    let mut fitted = Vec::new();
+    for node in 0..network.nodes.len() {
+        control.cancel.check()?;
+        if let Some(joint) = fit_joint(surface, network, node) {
+            fitted.push((node, joint));
+        }
+    }
+    for (node, joint) in fitted {
+        place(network, node, &joint);
+    }
+    Ok(())
+}
+
+/// Leads the branches of a joint along their fitted ways.
+fn place(network: &mut Network, node: usize, joint: &FittedJoint) {
+    let lengths: Vec<usize> = network.tracks.iter().map(|track| track.stations.len()).collect();
+    if let Some(anchor) = &mut network.nodes[node].anchor {
+        anchor.point = joint.centre;
+    }
+    for way in &joint.limbs {
+        let _ = lengths[way.track];
+        network.oriented(way.track, way.at_end, |track| {
+            let Some(firm) = track.stations.get(way.firm).cloned() else { return };
+            track.stations.truncate(way.firm + 1);
+            let count = (way.limb.length() / (SPACING * way.limb.radii[0])).round().clamp(1.0, 64.0) as usize;
+            for i in 1..count {
+                let t = i as f64 / count as f64;
+                let Some(tangent) = nalgebra::Unit::try_new(way.limb.slope(t), 0.0) else { continue };
+                let mut station = Station::rough(way.limb.at(t), tangent, way.limb.radius(t), firm.ring);
+                station.radius = way.limb.radius(t) * firm.radius / firm.shape.mean;
+                station.sight = Sight::Partial;
+                track.stations.push(station);
+            }
+        });
     }
 }
 

@@ -22,34 +22,39 @@ use crate::centerline::segmentation::track::{
 /// The point nearest to all the approaches; `prior` holds what they leave open.
 pub fn joint_centre(approaches: &[Approach], prior: &Point3<f64>) -> Point3<f64> {
     let Some(largest) = approaches.iter().map(|a| a.radius).max_by(f64::total_cmp) else { return *prior };
+    let hold = 1.0 / (2.0 * largest).powi(2);
     let mut centre = *prior;
-    let through = through_direction(approaches);
     for _ in 0..12 {
-        let hold = 1.0 / (2.0 * largest).powi(2);
-        let mut normal = Matrix3::identity() * hold;
-        let mut right = prior.coords * hold;
-        let places: Vec<f64> = approaches.iter().map(|approach| approach.nearest(&centre)).collect();
-        let directions: Vec<Vector3<f64>> =
-            approaches.iter().zip(&places).map(|(approach, &s)| approach.line.at(s).1).collect();
-        for (number, approach) in approaches.iter().enumerate() {
-            if approach.bulge {
-                let level = through * through.transpose() / (approach.radius * approach.radius);
-                normal += level;
-                right += level * approach.line.at(0.0).0.coords;
-                continue;
-            }
-            let s = places[number];
-            let (point, _) = approach.line.at(s);
-            let direction = agreed(&directions, number);
-            let doubt = approach.doubt(s);
-            let across = (Matrix3::identity() - direction * direction.transpose()) / (doubt * doubt);
-            normal += across;
-            right += across * point.coords;
-        }
-        let Some(inverse) = normal.try_inverse() else { return centre };
-        centre = Point3::from(inverse * right);
+        let (normal, right) = information(approaches, &centre);
+        let held = normal + Matrix3::identity() * hold;
+        let Some(inverse) = held.try_inverse() else { return centre };
+        centre = Point3::from(inverse * (right + prior.coords * hold));
     }
     centre
+}
+
+/// What the approaches say of a centre near `centre`: the matrix and the right side of its normal equations.
+pub fn information(approaches: &[Approach], centre: &Point3<f64>) -> (Matrix3<f64>, Vector3<f64>) {
+    let through = through_direction(approaches);
+    let places: Vec<f64> = approaches.iter().map(|approach| approach.nearest(centre)).collect();
+    let directions: Vec<Vector3<f64>> =
+        approaches.iter().zip(&places).map(|(approach, &s)| approach.line.at(s).1).collect();
+    let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+    for (number, (approach, &s)) in approaches.iter().zip(&places).enumerate() {
+        if approach.bulge {
+            let level = through * through.transpose() / (approach.radius * approach.radius);
+            normal += level;
+            right += level * approach.line.at(0.0).0.coords;
+            continue;
+        }
+        let (point, _) = approach.line.at(s);
+        let direction = agreed(&directions, number);
+        let doubt = approach.doubt(s);
+        let across = (Matrix3::identity() - direction * direction.transpose()) / (doubt * doubt);
+        normal += across;
+        right += across * point.coords;
+    }
+    (normal, right)
 }
 
 /// The direction of one of the lines, agreed upon with the line that continues it: where two cross at a

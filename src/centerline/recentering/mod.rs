@@ -4,7 +4,9 @@ pub mod approach;
 pub mod displaced;
 pub mod ends;
 pub mod joint_collapse;
+pub mod joint_fit;
 pub mod joints;
+pub mod limb;
 
 use nalgebra::Point3;
 use rayon::prelude::*;
