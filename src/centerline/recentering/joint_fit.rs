@@ -22,7 +22,7 @@ const FOREIGN: f64 = 0.15;
 /// Where two branches' walls meet, the crease is rounded: vertices count less that are this near to both, in radii.
 const CREASE: f64 = 0.25;
 /// Vertices near the first section say little of the way beyond: they count less below this leverage.
-const LEVER: f64 = 0.3;
+const LEVER: f64 = 0.5;
 /// Prior deviations: radius at the centre (share), centre from where it was (widest radius).
 const RADIUS: f64 = 0.08;
 const CENTRE: f64 = 1.0;
@@ -100,11 +100,14 @@ pub fn fit_joint(surface: &Surface, network: &mut Network, node: usize) -> Optio
 /// The last clean station that lies a radius or more before the centre and not in the joint's mouth.
 fn firm_station(stations: &[Station], centre: &Point3<f64>) -> Option<usize> {
     const NEAR: f64 = 1.0;
+    const FAR: f64 = 4.0;
     let before = |s: &Station| (centre - s.point).dot(&s.tangent) > NEAR * s.section_radius;
     let clean: Vec<usize> =
         (0..stations.len()).filter(|&i| stations[i].sight == Sight::Clean && before(&stations[i])).collect();
-    // The last one or two already feel the mouth.
-    clean.iter().rev().nth(1).or(clean.last()).copied()
+    let &last = clean.last()?;
+    let far = (centre - stations[last].point).norm() > FAR * stations[last].section_radius;
+    // The last one feels the mouth; from far off every section counts.
+    if far { Some(last) } else { clean.iter().rev().nth(1).copied().or(Some(last)) }
 }
 
 fn start(station: &Station, approach: &Approach, centre: &Point3<f64>) -> Option<Start> {
@@ -248,7 +251,7 @@ impl Fit<'_> {
             let share = 1.0 / (1.0 + foreign * foreign);
             let basis = Limb::basis(foot.t);
             let trust = ((second.outside - foot.outside) / (CREASE * radius)).min(1.0)
-                * ((basis[2] + basis[3]) / LEVER).min(1.0).powi(2)
+                * ((basis[2] + basis[3]) / LEVER).min(1.0).powi(4)
                 / (USUAL * radius).powi(2);
             let weight = share * share * trust;
             normal.cost += share * foot.outside * foot.outside * trust;
