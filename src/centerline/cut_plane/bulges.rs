@@ -19,7 +19,7 @@ pub fn round_bulge(surface: &Surface, track: &mut Track, tip_first: bool) -> boo
     const HEIGHT: f64 = 2.0;
     const FLAT: f64 = 2.0;
     let points: Vec<Point3<f64>> = track.rings.iter().flat_map(|ring| ring.points.iter().copied()).collect();
-    let Some((centre, radius)) = sphere_through(&points) else { return false };
+    let Some((centre, radius)) = sphere_through(&points, |_| 1.0) else { return false };
     let (Some(first), Some(last)) = (track.rings.first(), track.rings.last()) else { return false };
     let (tip, base) = if tip_first { (first, last) } else { (last, first) };
     let deviation = |p: &Point3<f64>| ((p - centre).norm() / radius - 1.0).powi(2);
@@ -29,6 +29,7 @@ pub fn round_bulge(surface: &Surface, track: &mut Track, tip_first: bool) -> boo
         return false;
     }
     let joint = base.centroid;
+    let (centre, radius) = dome(&points, (centre, radius));
     track.bulge = Some(Bulge { centre, radius });
     track.stations = line_through(surface, track, &joint, &centre, !tip_first);
     true
@@ -65,8 +66,33 @@ pub fn line_through(
     stations
 }
 
-/// Least squares sphere: centre and radius (algebraic fit, about the points' mean).
-fn sphere_through(points: &[Point3<f64>]) -> Option<(Point3<f64>, f64)> {
+/// The sphere through most of the points: those of the neck lie off it and are heard ever less (Geman and
+/// McClure's weights).
+fn dome(points: &[Point3<f64>], first: (Point3<f64>, f64)) -> (Point3<f64>, f64) {
+    const ROUNDS: usize = 8;
+    /// Deviation (radii) at which a point counts a quarter.
+    const USUAL: f64 = 0.02;
+    let mut sphere = first;
+    for _ in 0..ROUNDS {
+        let (centre, radius) = sphere;
+        let weight = |p: &Point3<f64>| {
+            let off = ((p - centre).norm() / radius - 1.0) / USUAL;
+            (1.0 + off * off).powi(-2)
+        };
+        let Some(next) = sphere_through(points, weight) else { return sphere };
+        if next.1 > 1.5 * first.1 || (next.0 - first.0).norm() > 0.5 * first.1 {
+            return first;
+        }
+        sphere = next;
+    }
+    sphere
+}
+
+/// Weighted least squares sphere: centre and radius (algebraic fit, about the points' mean).
+fn sphere_through(
+    points: &[Point3<f64>],
+    weight: impl Fn(&Point3<f64>) -> f64,
+) -> Option<(Point3<f64>, f64)> {
     if points.len() < 8 {
         return None;
     }
@@ -79,8 +105,9 @@ fn sphere_through(points: &[Point3<f64>]) -> Option<(Point3<f64>, f64)> {
     for p in points {
         let d = (p - origin - mean) / scale;
         let row = Vector4::new(2.0 * d.x, 2.0 * d.y, 2.0 * d.z, 1.0);
-        normal += row * row.transpose();
-        right += row * d.norm_squared();
+        let weight = weight(p);
+        normal += row * row.transpose() * weight;
+        right += row * (d.norm_squared() * weight);
     }
     let solved = normal.try_inverse()? * right;
     let centre = solved.xyz();
@@ -100,7 +127,7 @@ mod tests {
             Point3::new(5.0 + 2.0 * flat * a.cos(), 2.0 * flat * a.sin(), 2.0 * z)
         };
         let points: Vec<_> = (0..45).map(on).collect();
-        let (centre, radius) = sphere_through(&points).unwrap();
+        let (centre, radius) = sphere_through(&points, |_| 1.0).unwrap();
         assert!((centre - Point3::new(5.0, 0.0, 0.0)).norm() < 1e-9 && (radius - 2.0).abs() < 1e-9);
     }
 }

@@ -139,10 +139,11 @@ pub fn accept_clean(
     station.frame = cut.frame;
     station.seeds = Some(cut.seeds());
     station.profile = Profile::of(cut, &centroid, radius);
-    station.target = cut.frame.lift(&centroid);
     station.weight = Matrix3::identity();
     station.section_radius = radius;
     station.shape = WallShape::of(surface, cut, &centroid, radius);
+    let [x, y] = station.shape.offset;
+    station.target = cut.frame.lift(&(centroid + Vector2::new(x, y)));
     station.radius = station.shape.inscribed();
     station.sight = Sight::Clean;
 }

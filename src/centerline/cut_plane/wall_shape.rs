@@ -4,14 +4,20 @@
 //! thinner. So distances of vertices from the axis are fitted with the wall's mean, its slope along the
 //! axis, and its first two harmonics around it; noise and stairs average out.
 
-use nalgebra::{Point2, SMatrix, SVector};
+use nalgebra::{Point2, SMatrix, SVector, Vector2};
 
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::cut_plane::section::Section;
 
-/// Terms of the fit: mean, cos, sin, cos 2, sin 2, slope.
-const TERMS: usize = 6;
+/// Terms of the fit: mean, cos, sin, cos 2, sin 2, slope along the axis, and the bend of the axis (cos, sin).
+const TERMS: usize = 8;
+/// Variance of a vertex over that expected of each term.
+const HOLD: [f64; TERMS] = [0.0, 0.01, 0.01, 0.2, 0.2, 0.02, 1.0, 1.0];
+/// Share of the radius that facets may cut away unnoticed.
+const FACETS: f64 = 0.02;
+/// Fewer vertices say nothing.
+const LEAST: usize = 5;
 
 /// Distance of the wall from the axis around one station.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -20,6 +26,10 @@ pub struct WallShape {
     pub mean: f64,
     /// Second harmonic (ellipse) in the frame of the section.
     pub ellipse: [f64; 2],
+    /// Square of the second harmonic that noise alone would show.
+    pub haze: f64,
+    /// Where the vertices put the axis against where the polygon does, in the frame of the section.
+    pub offset: [f64; 2],
     /// Change of the distance along the axis.
     pub slope: f64,
     /// Distance of the nearest wall in the section.
@@ -39,7 +49,8 @@ impl WallShape {
     pub fn inscribed(&self) -> f64 {
         /// A wall that is farther from a circle than this (share of its radius) is no noisy circle.
         const FLAT: f64 = 0.15;
-        let flatness = self.ellipse[0].hypot(self.ellipse[1]);
+        let square = self.ellipse[0].powi(2) + self.ellipse[1].powi(2);
+        let flatness = (square - self.haze).max(0.0).sqrt();
         let short = if flatness < FLAT * self.mean { self.mean - flatness } else { self.nearest };
         (short / (1.0 + self.slope * self.slope).sqrt()).max(0.05 * self.nearest)
     }
@@ -52,45 +63,51 @@ impl WallShape {
             cut.triangles.iter().flat_map(|&t| surface.mesh.triangles[t as usize]).collect();
         vertices.sort_unstable();
         vertices.dedup();
+        let grain = grain(surface, cut);
+        let nearest = cut.distance(centre);
+        // Far along a long triangle the wall may be anything; far off it is another branch's.
+        let reach = grain.clamp(0.75 * radius, 2.0 * radius);
         let mut normal = SMatrix::<f64, TERMS, TERMS>::zeros();
         let mut right = SVector::<f64, TERMS>::zeros();
-        let mut count = 0;
+        let (mut count, mut squares) = (0, 0.0);
         for v in vertices {
             let p = surface.mesh.vertices[v as usize];
             let along = (p - cut.frame.origin).dot(&cut.frame.t);
             let arm = cut.frame.flat(&p) - centre;
             let distance = arm.norm();
-            // Far along a long triangle the wall may be anything; far off it is another branch's.
-            if along.abs() > 0.75 * radius || distance <= 0.0 || !(0.4..2.0).contains(&(distance / radius)) {
+            if along.abs() > reach || distance <= 0.0 || !(0.4..2.0).contains(&(distance / radius)) {
                 continue;
             }
-            let (cos, sin) = (arm.x / distance, arm.y / distance);
-            let row = SVector::<f64, TERMS>::from([
-                1.0,
-                cos,
-                sin,
-                cos * cos - sin * sin,
-                2.0 * sin * cos,
-                along / radius,
-            ]);
+            let row = row(&(arm / distance), along / radius);
             normal += row * row.transpose();
             right += row * distance;
+            squares += distance * distance;
             count += 1;
         }
-        let grain = grain(surface, cut);
-        let nearest = cut.distance(centre);
-        if count < 2 * TERMS {
+        if count < LEAST {
             return Self { grain, nearest, ..Self::circle(radius) };
         }
-        // Holds what the vertices leave open (a single ring says nothing of the slope).
-        for i in 1..TERMS {
-            normal[(i, i)] += 5e-4 * count as f64;
+        // Holds what the vertices leave open: a single ring says nothing of slope and bend, a few of an ellipse.
+        for (i, hold) in HOLD.into_iter().enumerate() {
+            normal[(i, i)] += hold;
         }
         let Some(cholesky) = normal.cholesky() else {
             return Self { grain, nearest, ..Self::circle(radius) };
         };
         let fit = cholesky.solve(&right);
-        Self { mean: fit[0], ellipse: [fit[3], fit[4]], slope: fit[5] / radius, nearest, grain }
+        let left = (squares - fit.dot(&right)).max(0.0) / (count - TERMS.min(count - 1)) as f64;
+        let polygon = polygon_offset(cut, centre);
+        // Only where facets cut far inside the wall does the polygon's centroid stray.
+        let coarse = ((fit[0] - radius) / fit[0] / FACETS - 1.0).clamp(0.0, 1.0);
+        Self {
+            mean: fit[0],
+            ellipse: [fit[3], fit[4]],
+            haze: 4.0 * left / count as f64,
+            offset: [coarse * (fit[1] - polygon[0]), coarse * (fit[2] - polygon[1])],
+            slope: fit[5] / radius,
+            nearest,
+            grain,
+        }
     }
 
     /// Weighted mean of neighbouring shapes (their frames do not spin).
@@ -103,6 +120,7 @@ impl WallShape {
             sum.ellipse[1] += weight * shape.ellipse[1];
             sum.slope += weight * shape.slope;
             sum.nearest += weight * shape.nearest;
+            sum.haze += weight * weight * shape.haze;
             sum.grain += weight * shape.grain;
             total += weight;
         }
@@ -110,6 +128,8 @@ impl WallShape {
         Self {
             mean: sum.mean * scale,
             ellipse: sum.ellipse.map(|term| term * scale),
+            haze: sum.haze * scale * scale,
+            offset: [0.0; 2],
             slope: sum.slope * scale,
             nearest: sum.nearest * scale,
             grain: sum.grain * scale,
@@ -119,8 +139,28 @@ impl WallShape {
     /// The same wall seen from the plane's other side (see [`super::section::Profile::mirror`]).
     pub fn mirror(&mut self) {
         self.ellipse[1] = -self.ellipse[1];
+        self.offset[1] = -self.offset[1];
         self.slope = -self.slope;
     }
+}
+
+/// The terms at a vertex in direction `arm` (unit) from the centre.
+fn row(arm: &Vector2<f64>, along: f64) -> SVector<f64, TERMS> {
+    let (cos, sin) = (arm.x, arm.y);
+    let bow = along * along;
+    SVector::from([1.0, cos, sin, cos * cos - sin * sin, 2.0 * sin * cos, along, bow * cos, bow * sin])
+}
+
+/// First harmonic of the polygon's distance from `centre`.
+fn polygon_offset(cut: &Section, centre: &Point2<f64>) -> [f64; 2] {
+    let mut sum = Vector2::zeros();
+    for (p, q, _) in cut.sides() {
+        let (a, b) = (p - centre, q - centre);
+        let angle = (a.x * b.y - a.y * b.x).atan2(a.dot(&b));
+        sum += (a + b) * (0.5 * angle);
+    }
+    // Twice the mean over the circle.
+    (sum / std::f64::consts::PI).into()
 }
 
 /// Mean extent of the section's triangles along its normal.

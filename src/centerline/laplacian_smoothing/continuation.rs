@@ -16,7 +16,7 @@ const BENDS: [f64; 4] = [0.03, 0.07, 0.15, 0.3];
 /// Lengths tried, in radii, over which a vessel forgets its bend.
 const MEMORIES: [f64; 2] = [4.0, 12.0];
 /// Deviations of the sections' noise tried, in radii: a real vessel is never quite a tube.
-const NOISES: [f64; 5] = [0.002, 0.006, 0.02, 0.05, 0.12];
+const NOISES: [f64; 4] = [0.01, 0.025, 0.06, 0.15];
 /// More points than this say nothing of the end.
 const MOST: usize = 64;
 

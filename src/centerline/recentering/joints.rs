@@ -33,6 +33,9 @@ pub fn joint_centre(approaches: &[Approach], prior: &Point3<f64>) -> Point3<f64>
     centre
 }
 
+/// How well a bulge's middle says where along the vessel it sits, in its radii.
+const BULGE: f64 = 0.05;
+
 /// What the approaches say of a centre near `centre`: the matrix and the right side of its normal equations.
 pub fn information(approaches: &[Approach], centre: &Point3<f64>) -> (Matrix3<f64>, Vector3<f64>) {
     let through = through_direction(approaches);
@@ -42,7 +45,7 @@ pub fn information(approaches: &[Approach], centre: &Point3<f64>) -> (Matrix3<f6
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for (number, (approach, &s)) in approaches.iter().zip(&places).enumerate() {
         if approach.bulge {
-            let level = through * through.transpose() / (approach.radius * approach.radius);
+            let level = through * through.transpose() / (BULGE * approach.radius).powi(2);
             normal += level;
             right += level * approach.line.at(0.0).0.coords;
             continue;
