@@ -261,18 +261,22 @@ fn meet(surface: &Surface, owners: &[u32], network: &mut Network, node: usize) {
     let centre = joint_centre(&approaches, &prior);
     let radius = network.joint_radius(&incident);
     network.nodes[node].anchor = Some(Anchor { point: centre, radius });
-    for &(index, at_end) in &incident {
-        let track = &network.tracks[index];
-        if let Some(bulge) = &track.bulge {
-            let far = if at_end { track.from } else { track.to };
-            let tip = surface.mesh.vertices[network.nodes[far].vertex as usize];
-            let end = far_wall(surface, bulge, &centre).unwrap_or(EndPoint { point: tip, radius: 0.0 });
-            let stations = line_through(surface, track, &centre, &end.point, !at_end);
-            network.nodes[far].anchor = Some(Anchor { point: end.point, radius: end.radius });
-            network.tracks[index].stations = stations;
-        }
-    }
+    aim_bulges(surface, network, &incident, &centre);
     lead_in(surface, owners, network, &incident, &centre);
+}
+
+/// Draws the lines of the bulges at a joint straight from its centre through their middles.
+fn aim_bulges(surface: &Surface, network: &mut Network, incident: &[(usize, bool)], centre: &Point3<f64>) {
+    for &(index, at_end) in incident {
+        let track = &network.tracks[index];
+        let Some(bulge) = &track.bulge else { continue };
+        let far = if at_end { track.from } else { track.to };
+        let tip = surface.mesh.vertices[network.nodes[far].vertex as usize];
+        let end = far_wall(surface, bulge, centre).unwrap_or(EndPoint { point: tip, radius: 0.0 });
+        let stations = line_through(surface, track, centre, &end.point, !at_end);
+        network.nodes[far].anchor = Some(Anchor { point: end.point, radius: end.radius });
+        network.tracks[index].stations = stations;
+    }
 }
 
 /// Runs every incident branch to the centre, each judged by the rings of all of them.
@@ -307,19 +311,18 @@ fn fit_joints(surface: &Surface, network: &mut Network, control: &Control<'_>) -
         }
     }
     for (node, joint) in fitted {
-        place(network, node, &joint);
+        place(surface, network, node, &joint);
     }
     Ok(())
 }
 
 /// Leads the branches of a joint along their fitted ways.
-fn place(network: &mut Network, node: usize, joint: &FittedJoint) {
-    let lengths: Vec<usize> = network.tracks.iter().map(|track| track.stations.len()).collect();
+fn place(surface: &Surface, network: &mut Network, node: usize, joint: &FittedJoint) {
     if let Some(anchor) = &mut network.nodes[node].anchor {
         anchor.point = joint.centre;
     }
+    aim_bulges(surface, network, &network.incident(node), &joint.centre);
     for way in &joint.limbs {
-        let _ = lengths[way.track];
         network.oriented(way.track, way.at_end, |track| {
             let Some(firm) = track.stations.get(way.firm).cloned() else { return };
             track.stations.truncate(way.firm + 1);

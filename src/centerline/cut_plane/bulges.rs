@@ -18,6 +18,8 @@ pub fn round_bulge(surface: &Surface, track: &mut Track, tip_first: bool) -> boo
     /// is much larger, the rings lie flat.
     const HEIGHT: f64 = 2.0;
     const FLAT: f64 = 2.0;
+    /// How far from the middle its wall may be, in radii.
+    const NEAR: f64 = 1.3;
     let points: Vec<Point3<f64>> = track.rings.iter().flat_map(|ring| ring.points.iter().copied()).collect();
     let Some((centre, radius)) = sphere_through(&points, |_| 1.0) else { return false };
     let (Some(first), Some(last)) = (track.rings.first(), track.rings.last()) else { return false };
@@ -29,7 +31,10 @@ pub fn round_bulge(surface: &Surface, track: &mut Track, tip_first: bool) -> boo
         return false;
     }
     let joint = base.centroid;
-    let (centre, radius) = dome(&points, (centre, radius));
+    // A front covers a sac's sides unevenly: its whole wall counts.
+    let near = |v: &&Point3<f64>| (*v - centre).norm() < NEAR * radius;
+    let wall: Vec<Point3<f64>> = surface.mesh.vertices.iter().filter(near).copied().collect();
+    let (centre, radius) = dome(&wall, (centre, radius));
     track.bulge = Some(Bulge { centre, radius });
     track.stations = line_through(surface, track, &joint, &centre, !tip_first);
     true

@@ -34,14 +34,14 @@ pub fn joint_centre(approaches: &[Approach], prior: &Point3<f64>) -> Point3<f64>
 }
 
 /// How well a bulge's middle says where along the vessel it sits, in its radii.
-const BULGE: f64 = 0.05;
+const BULGE: f64 = 0.02;
 
 /// What the approaches say of a centre near `centre`: the matrix and the right side of its normal equations.
 pub fn information(approaches: &[Approach], centre: &Point3<f64>) -> (Matrix3<f64>, Vector3<f64>) {
-    let through = through_direction(approaches);
     let places: Vec<f64> = approaches.iter().map(|approach| approach.nearest(centre)).collect();
     let directions: Vec<Vector3<f64>> =
         approaches.iter().zip(&places).map(|(approach, &s)| approach.line.at(s).1).collect();
+    let through = through_direction(approaches, centre);
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for (number, (approach, &s)) in approaches.iter().zip(&places).enumerate() {
         if approach.bulge {
@@ -73,20 +73,25 @@ fn agreed(directions: &[Vector3<f64>], number: usize) -> Vector3<f64> {
     (own * (1.0 - share) + onward * share).try_normalize(0.0).unwrap_or(own)
 }
 
-/// Direction of the vessel that passes through a joint: that of the two most opposite approaches.
-fn through_direction(approaches: &[Approach]) -> Vector3<f64> {
-    let lines: Vec<&Approach> = approaches.iter().filter(|a| !a.bulge).collect();
-    let mut best = (f64::INFINITY, Vector3::zeros());
-    for (i, a) in lines.iter().enumerate() {
-        for b in &lines[i + 1..] {
-            let (along, other) = (a.line.at(0.0).1, b.line.at(0.0).1);
-            let cosine = along.dot(&other);
-            if cosine < best.0 {
-                best = (cosine, (along - other).try_normalize(0.0).unwrap_or_else(Vector3::zeros));
-            }
-        }
-    }
-    best.1
+/// Direction at `centre` of the vessel that passes through a joint: of the cubic curve that joins the two most
+/// opposite approaches.
+fn through_direction(approaches: &[Approach], centre: &Point3<f64>) -> Vector3<f64> {
+    let ends: Vec<(Point3<f64>, Vector3<f64>)> =
+        approaches.iter().filter(|a| !a.bulge).map(|a| a.line.at(0.0)).collect();
+    let pairs = ends.iter().enumerate().flat_map(|(i, a)| ends[i + 1..].iter().map(move |b| (a, b)));
+    let most_opposite = pairs.min_by(|(a, b), (c, d)| a.1.dot(&b.1).total_cmp(&c.1.dot(&d.1)));
+    let Some((from, to)) = most_opposite else { return Vector3::zeros() };
+    let chord = to.0 - from.0;
+    let length = chord.norm();
+    let ahead = chord.dot(&(from.1 - to.1)) > length;
+    let direction = if ahead {
+        let t = ((centre - from.0).dot(&chord) / chord.norm_squared()).clamp(0.0, 1.0);
+        let (start, end) = (1.0 - 4.0 * t + 3.0 * t * t, 3.0 * t * t - 2.0 * t);
+        chord * (6.0 * t * (1.0 - t)) + (from.1 * start - to.1 * end) * length
+    } else {
+        from.1 - to.1
+    };
+    direction.try_normalize(0.0).unwrap_or_else(Vector3::zeros)
 }
 
 /// Replaces what follows the last clean station by a run to `centre`, and judges it by the walls of
