@@ -9,10 +9,10 @@ use nalgebra::{Matrix3, Point3, RowVector3, Vector3};
 
 /// Strength of the bends that is expected of a vessel before it is seen (root mean square curvature, per
 /// radius), and how many times more or less it may easily be.
-const EXPECTED_BEND: f64 = 0.1;
+const EXPECTED_BEND: f64 = 0.15;
 const EASILY: f64 = 2.0;
 /// Strengths of bend tried, per radius.
-const BENDS: [f64; 4] = [0.03, 0.07, 0.15, 0.3];
+const BENDS: [f64; 4] = [0.05, 0.1, 0.2, 0.35];
 /// Lengths tried, in radii, over which a vessel forgets its bend.
 const MEMORIES: [f64; 2] = [4.0, 12.0];
 /// Deviations of the sections' noise tried, in radii: a real vessel is never quite a tube.
