@@ -324,8 +324,8 @@ fn place(surface: &Surface, network: &mut Network, node: usize, joint: &FittedJo
     aim_bulges(surface, network, &network.incident(node), &joint.centre);
     for way in &joint.limbs {
         network.oriented(way.track, way.at_end, |track| {
-            let Some(firm) = track.stations.get(way.firm).cloned() else { return };
-            track.stations.truncate(way.firm + 1);
+            track.stations.truncate(track.stations.len() - way.replaced);
+            let Some(firm) = track.stations.last().cloned() else { return };
             let count = (way.limb.length() / (SPACING * way.limb.radii[0])).round().clamp(1.0, 64.0) as usize;
             for i in 1..count {
                 let t = i as f64 / count as f64;

@@ -16,6 +16,8 @@ use crate::centerline::segmentation::track::{Sight, Station};
 const GATE: f64 = 0.25;
 /// Share of the circumference that must agree for a section to be clean.
 const CLEAN: f64 = 0.92;
+/// Share of the circumference below which the rest, the mouth of a thin branch, is left out.
+const WHOLE: f64 = 0.98;
 /// Share of the circumference below which a partial wall says nothing.
 const LEAST: f64 = 0.12;
 /// Wall whose normal leans more than this (sine) out of the section is a cap or another branch.
@@ -102,6 +104,9 @@ pub fn judge(surface: &Surface, station: &mut Station, cut: &Section, expected: 
         let seen = agreement(surface, cut, measure.centroid, &expected.scaled(growth), GATE);
         if seen.support >= CLEAN && is_square(surface, cut) {
             accept_clean(surface, station, cut, measure.centroid, measure.radius());
+            if seen.support < WHOLE {
+                leave_out(surface, station, cut, &expected.scaled(growth));
+            }
             return;
         }
     }
@@ -148,10 +153,65 @@ pub fn accept_clean(
     station.sight = Sight::Clean;
 }
 
+/// Centres a clean section by the part of it that agrees: what does not is the mouth of a branch.
+fn leave_out(surface: &Surface, station: &mut Station, cut: &Section, expected: &Profile) {
+    const ROUNDS: usize = 3;
+    let mut profile = expected.clone();
+    let mut centre = Point2::origin();
+    for _ in 0..ROUNDS {
+        (centre, _, _) = fit_centre(surface, cut, &profile, centre);
+        let seen = agreement(surface, cut, centre, &profile, GATE);
+        let (mut all, mut grown) = (0.0, 0.0);
+        for piece in &seen.pieces {
+            let arm = piece.middle - centre;
+            let Some(direction) = arm.try_normalize(0.0) else { continue };
+            all += piece.share;
+            grown += piece.share * arm.norm() / profile.at(&direction);
+        }
+        if all > 0.0 {
+            profile = profile.scaled(grown / all);
+        }
+    }
+    station.target = cut.frame.lift(&centre);
+    station.section_radius = profile.mean();
+    station.profile = profile;
+}
+
 /// Fits the expected wall to the part of the section that agrees with it, by Gauss-Newton on the
 /// distances along the normals (the partial wall's form of eq. 10).
 fn fit_part(surface: &Surface, station: &mut Station, cut: &Section, expected: &Profile) {
-    let mut centre = Point2::origin();
+    let mean = expected.mean();
+    let (centre, information, support) = fit_centre(surface, cut, expected, Point2::origin());
+    station.frame = cut.frame;
+    station.profile = expected.clone();
+    station.section_radius = mean;
+    station.shape = WallShape::circle(mean);
+    station.radius = mean;
+    if support < LEAST || (centre - Point2::origin()).norm() > 0.75 * mean {
+        station.target = station.point;
+        station.weight = Matrix3::zeros();
+        station.sight = Sight::Lost;
+        return;
+    }
+    station.target = cut.frame.lift(&centre);
+    let (u, v) = (cut.frame.u, cut.frame.v);
+    let lifted = u * u.transpose() * information.m11
+        + v * v.transpose() * information.m22
+        + (u * v.transpose() + v * u.transpose()) * information.m12;
+    // The share seen tempers how firmly the part speaks.
+    station.weight = lifted * support;
+    station.sight = Sight::Partial;
+}
+
+/// Where the expected wall lies on the part of the section that agrees with it: its centre, how firmly that
+/// part holds it, and the share of the circle that it is.
+fn fit_centre(
+    surface: &Surface,
+    cut: &Section,
+    expected: &Profile,
+    start: Point2<f64>,
+) -> (Point2<f64>, Matrix2<f64>, f64) {
+    let mut centre = start;
     let mean = expected.mean();
     let mut seen = agreement(surface, cut, centre, expected, 1.6 * GATE);
     let mut information = Matrix2::zeros();
@@ -178,23 +238,5 @@ fn fit_part(surface: &Surface, station: &mut Station, cut: &Section, expected: &
         let gate = if round < 2 { 1.6 * GATE } else { GATE };
         seen = agreement(surface, cut, centre, expected, gate);
     }
-    station.frame = cut.frame;
-    station.profile = expected.clone();
-    station.section_radius = mean;
-    station.shape = WallShape::circle(mean);
-    station.radius = mean;
-    if seen.support < LEAST || (centre - Point2::origin()).norm() > 0.75 * mean {
-        station.target = station.point;
-        station.weight = Matrix3::zeros();
-        station.sight = Sight::Lost;
-        return;
-    }
-    station.target = cut.frame.lift(&centre);
-    let (u, v) = (cut.frame.u, cut.frame.v);
-    let lifted = u * u.transpose() * information.m11
-        + v * v.transpose() * information.m22
-        + (u * v.transpose() + v * u.transpose()) * information.m12;
-    // The share seen tempers how firmly the part speaks.
-    station.weight = lifted * seen.support;
-    station.sight = Sight::Partial;
+    (centre, information, seen.support)
 }

@@ -42,8 +42,8 @@ pub struct FittedJoint {
 pub struct FittedLimb {
     pub track: usize,
     pub at_end: bool,
-    /// Stations from this one on toward the joint are replaced; counted in the direction toward it.
-    pub firm: usize,
+    /// How many stations at its end toward the joint are replaced.
+    pub replaced: usize,
     pub limb: Limb,
 }
 
@@ -74,14 +74,16 @@ pub fn fit_joint(surface: &Surface, network: &mut Network, node: usize) -> Optio
             continue;
         }
         let before = run_up(network, track, at_end);
-        let (start, approach, firm) = network.oriented(track, at_end, |track| {
-            let firm = firm_station(&track.stations, &centre)?;
+        let inner = !network.is_end(network.tracks[track].from) && !network.is_end(network.tracks[track].to);
+        let (start, approach, replaced) = network.oriented(track, at_end, |track| {
+            let firm = firm_station(&track.stations, inner, &centre)?;
             let approach = Approach::of(&track.up_to(firm), &before)?;
-            Some((start(&track.stations[firm], &approach, &centre)?, approach, firm))
+            let replaced = track.stations.len() - 1 - firm;
+            Some((start(&track.stations[firm], &approach, &centre)?, approach, replaced))
         })?;
         starts.push(start);
         approaches.push(approach);
-        places.push((track, at_end, firm));
+        places.push((track, at_end, replaced));
     }
     let wall = wall_around(surface, &starts, &centre);
     let (centre, limbs) = Fit {
@@ -93,17 +95,21 @@ pub fn fit_joint(surface: &Surface, network: &mut Network, node: usize) -> Optio
     }
     .solve()?;
     let limbs = limbs.into_iter().zip(places);
-    let limbs = limbs.map(|(limb, (track, at_end, firm))| FittedLimb { track, at_end, firm, limb }).collect();
+    let limbs =
+        limbs.map(|(limb, (track, at_end, replaced))| FittedLimb { track, at_end, replaced, limb }).collect();
     Some(FittedJoint { centre, limbs })
 }
 
-/// The last clean station that lies a radius or more before the centre and not in the joint's mouth.
-fn firm_station(stations: &[Station], centre: &Point3<f64>) -> Option<usize> {
+/// The last clean station that lies a radius or more before the centre and not in the joint's mouth. Of a
+/// track between two joints the half before the middle is the other's.
+fn firm_station(stations: &[Station], inner: bool, centre: &Point3<f64>) -> Option<usize> {
     const NEAR: f64 = 1.0;
     const FAR: f64 = 4.0;
     let before = |s: &Station| (centre - s.point).dot(&s.tangent) > NEAR * s.section_radius;
-    let clean: Vec<usize> =
-        (0..stations.len()).filter(|&i| stations[i].sight == Sight::Clean && before(&stations[i])).collect();
+    let first = if inner { stations.len() / 2 } else { 0 };
+    let clean: Vec<usize> = (first..stations.len())
+        .filter(|&i| stations[i].sight == Sight::Clean && before(&stations[i]))
+        .collect();
     let &last = clean.last()?;
     let far = (centre - stations[last].point).norm() > FAR * stations[last].section_radius;
     // The last one feels the mouth; from far off every section counts.
