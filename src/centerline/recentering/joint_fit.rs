@@ -67,6 +67,7 @@ pub fn fit_joint(surface: &Surface, network: &mut Network, node: usize) -> Optio
     }
     let (mut starts, mut places, mut balls) = (Vec::new(), Vec::new(), Vec::new());
     let mut approaches = Vec::new();
+    let headings = headings(network, &incident);
     for &(track, at_end) in &incident {
         if let Some(bulge) = network.tracks[track].bulge {
             balls.push(bulge);
@@ -74,9 +75,10 @@ pub fn fit_joint(surface: &Surface, network: &mut Network, node: usize) -> Optio
             continue;
         }
         let before = run_up(network, track, at_end);
+        let near = influence(&headings, headings.iter().position(|h| h.track == (track, at_end))?);
         let inner = !network.is_end(network.tracks[track].from) && !network.is_end(network.tracks[track].to);
         let (start, approach, replaced) = network.oriented(track, at_end, |track| {
-            let firm = firm_station(&track.stations, inner, &centre)?;
+            let firm = firm_station(&track.stations, inner, near, &centre)?;
             let approach = Approach::of(&track.up_to(firm), &before)?;
             let replaced = track.stations.len() - 1 - firm;
             Some((start(&track.stations[firm], &approach, &centre)?, approach, replaced))
@@ -100,12 +102,55 @@ pub fn fit_joint(surface: &Surface, network: &mut Network, node: usize) -> Optio
     Some(FittedJoint { centre, limbs })
 }
 
-/// The last clean station that lies a radius or more before the centre and not in the joint's mouth. Of a
+/// How a branch runs into a joint.
+struct Heading {
+    track: (usize, bool),
+    tangent: Vector3<f64>,
+    radius: f64,
+}
+
+fn headings(network: &mut Network, incident: &[(usize, bool)]) -> Vec<Heading> {
+    let one = |&(track, at_end): &(usize, bool)| {
+        network.oriented(track, at_end, |own| {
+            let last = own.stations.iter().rev().find(|s| s.sight == Sight::Clean)?;
+            let bulge = own.bulge.map(|bulge| bulge.radius);
+            let radius = bulge.unwrap_or(last.section_radius);
+            Some(Heading { track: (track, at_end), tangent: *last.tangent, radius })
+        })
+    };
+    incident.iter().filter_map(one).collect()
+}
+
+/// How far a joint reaches into one of its branches: a radius, or where the branch goes straight on into
+/// another, as far as the others' mouths.
+fn influence(headings: &[Heading], own: usize) -> f64 {
+    /// Cosine of the largest bend, and the largest ratio of radii, of one vessel.
+    const STRAIGHT: f64 = 0.8;
+    const ALIKE: f64 = 1.35;
+    /// A mouth's reach in its branch's radii, and the least in the vessel's.
+    const MOUTH: f64 = 2.5;
+    const LEAST: f64 = 0.3;
+    let one = &headings[own];
+    let onward = |other: &Heading| {
+        let ratio = other.radius / one.radius;
+        -other.tangent.dot(&one.tangent) > STRAIGHT && (1.0 / ALIKE..ALIKE).contains(&ratio)
+    };
+    let others = || headings.iter().enumerate().filter(|&(i, _)| i != own).map(|(_, other)| other);
+    if !others().any(onward) {
+        return one.radius;
+    }
+    let mouths =
+        others().filter(|other| !onward(other)).map(|other| MOUTH * other.radius).fold(0.0, f64::max);
+    mouths.clamp(LEAST * one.radius, one.radius)
+}
+
+/// The last clean station that lies before the joint's reach and not in its mouth. Of a
 /// track between two joints the half before the middle is the other's.
-fn firm_station(stations: &[Station], inner: bool, centre: &Point3<f64>) -> Option<usize> {
-    const NEAR: f64 = 1.0;
+///
+/// `near`: how far the joint reaches, in the input's unit.
+fn firm_station(stations: &[Station], inner: bool, near: f64, centre: &Point3<f64>) -> Option<usize> {
     const FAR: f64 = 4.0;
-    let before = |s: &Station| (centre - s.point).dot(&s.tangent) > NEAR * s.section_radius;
+    let before = |s: &Station| (centre - s.point).dot(&s.tangent) > near;
     let first = if inner { stations.len() / 2 } else { 0 };
     let clean: Vec<usize> = (first..stations.len())
         .filter(|&i| stations[i].sight == Sight::Clean && before(&stations[i]))
