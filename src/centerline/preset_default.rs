@@ -19,7 +19,7 @@ use crate::centerline::cut_plane::ownership::{Wall, owners};
 use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, observe, smooth, smooth_ring};
 use crate::centerline::recentering::approach::{Approach, run_up};
 use crate::centerline::recentering::displaced::settle_displaced;
-use crate::centerline::recentering::ends::{EndPoint, end_point, far_wall};
+use crate::centerline::recentering::ends::{EndPoint, end_point, far_wall, follow_rings};
 use crate::centerline::recentering::joint_fit::{FittedJoint, fit_joint};
 use crate::centerline::recentering::joints::{joint_centre, run_to_centre};
 use crate::centerline::segmentation::level_sets::LevelSet;
@@ -199,7 +199,10 @@ fn reach_ends(surface: &Surface, network: &mut Network, control: &Control<'_>) -
             continue;
         }
         let vertex = network.nodes[node].vertex;
-        let end = network.oriented(track, at_end, |track| end_point(surface, track, vertex));
+        let end = network.oriented(track, at_end, |track| {
+            follow_rings(surface, track, vertex);
+            end_point(surface, track, vertex)
+        });
         network.nodes[node].anchor = Some(Anchor { point: end.point, radius: end.radius });
     }
     Ok(())

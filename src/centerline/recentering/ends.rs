@@ -1,12 +1,12 @@
 //! Ends: the line reaches the middle of the cap, of the opening or of a dome's far wall.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Unit, Vector3};
 
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
 use crate::centerline::ray::crossing;
-use crate::centerline::segmentation::track::{Bulge, Station, Track};
+use crate::centerline::segmentation::track::{Bulge, SPACING, Sight, Station, Track, update_tangents};
 
 /// Where the line of a track, continued past its last station, meets the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,6 +41,41 @@ pub fn end_point(surface: &Surface, track: &Track, tip: u32) -> EndPoint {
     let to_tip = (tip_point - last.point).dot(&line.tangent).max(0.1 * last.section_radius);
     let distance = near.unwrap_or(to_tip);
     EndPoint { point: last.point + line.tangent * distance, radius: continued_radius(track, distance) }
+}
+
+/// Goes on along the middles of the level sets where a line that runs straight on would leave the lumen through
+/// its side, well before the tip: in a thin vessel of few triangles no section may be clean for long.
+///
+/// O(triangles + rings).
+pub fn follow_rings(surface: &Surface, track: &mut Track, tip: u32) {
+    /// How much farther than the wall ahead the tip lies, in radii.
+    const SHORT: f64 = 1.0;
+    /// Level sets this near to a tip lie aslant, in radii.
+    const ASLANT: f64 = 1.2;
+    /// How firmly a level set's middle holds the line, against a section's.
+    const LOOSE: f64 = 0.3;
+    let tip = surface.mesh.vertices[tip as usize];
+    let Some(last) = track.stations.last().cloned() else { return };
+    let radius = last.section_radius;
+    let ahead = first_hit(surface, &last.point, &last.tangent).unwrap_or(0.0);
+    if (tip - last.point).norm() < ahead + SHORT * radius {
+        return;
+    }
+    let mut before = last;
+    for (number, ring) in track.rings.iter().enumerate().skip(before.ring + 1) {
+        let step = ring.centroid - before.point;
+        let forward = step.dot(&before.tangent) > 0.5 * SPACING * radius;
+        if (tip - ring.centroid).norm() < ASLANT * radius {
+            break;
+        }
+        let (true, Some(tangent)) = (forward, Unit::try_new(step, 0.0)) else { continue };
+        let mut station = Station::rough(ring.centroid, tangent, radius, number);
+        station.sight = Sight::Partial;
+        station.weight = Matrix3::identity() * LOOSE;
+        track.stations.push(station.clone());
+        before = station;
+    }
+    update_tangents(&mut track.stations);
 }
 
 /// The far wall of a bulge, seen from its joint through its middle.
