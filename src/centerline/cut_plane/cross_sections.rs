@@ -78,12 +78,18 @@ pub fn settle(surface: &Surface, track: &mut Track) {
 fn reference(stations: &[Station]) -> Option<(usize, bool)> {
     let n = stations.len();
     let roundness = |s: &Station| s.profile.roundness();
+    let mut radii: Vec<f64> =
+        stations.iter().filter(|s| s.sight == Sight::Clean).map(|s| s.section_radius).collect();
+    radii.sort_by(f64::total_cmp);
+    let usual = radii.get(radii.len() / 4).copied()?;
     let score = |i: usize| {
         let station = &stations[i];
         let neighbours = [i.saturating_sub(1), (i + 1).min(n - 1)];
         let jump = neighbours.map(|j| (stations[j].section_radius / station.section_radius).ln().abs());
         let off_middle = (i as f64 + 0.5 - 0.5 * n as f64).abs() / n as f64;
-        roundness(station) + 2.0 * jump[0].max(jump[1]) + off_middle
+        // Sections that take in another branch or a sac are wide.
+        let wide = (station.section_radius / usual).ln().max(0.0);
+        roundness(station) + 2.0 * jump[0].max(jump[1]) + off_middle + wide
     };
     let candidates = (0..n).filter(|&i| stations[i].sight == Sight::Clean);
     let best = candidates.min_by(|&a, &b| score(a).total_cmp(&score(b)))?;
