@@ -12,7 +12,7 @@ use std::time::Duration;
 use futures::FutureExt;
 use futures::future::BoxFuture;
 use jobs_fakes::{Script, ended, files, result_of, running, settings, submit, until};
-use rosaline::jobs::store::{JobStore, ListQuery, Page, Recovered, StoreError, StoreFuture};
+use rosaline::jobs::store::{JobStore, ListQuery, Page, Recovered, RetentionStore, StoreError, StoreFuture};
 use rosaline::jobs::{
     Counts, Job, JobError, JobFailure, JobId, JobService, JobStatus, Lease, Removed, Storage, StoredArtifact,
     SystemClock,
@@ -31,6 +31,32 @@ struct Doubtful {
 fn lost<T>(due: &AtomicU32, answer: Result<T, StoreError>) -> Result<T, StoreError> {
     let due = due.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |left| left.checked_sub(1));
     if due.is_ok() { Err(StoreError::Database(sqlx::Error::WorkerCrashed)) } else { answer }
+}
+
+impl RetentionStore for Doubtful {
+    fn ended_before(&self, time: i64, limit: u32) -> StoreFuture<'_, Vec<JobId>> {
+        self.inner.ended_before(time, limit)
+    }
+
+    fn inputs_before(&self, time: i64, limit: u32) -> StoreFuture<'_, Vec<(JobId, String)>> {
+        self.inner.inputs_before(time, limit)
+    }
+
+    fn input_removed(&self, id: JobId, now: i64) -> StoreFuture<'_, ()> {
+        self.inner.input_removed(id, now)
+    }
+
+    fn note_expired(&self, id: JobId, now: i64) -> StoreFuture<'_, ()> {
+        self.inner.note_expired(id, now)
+    }
+
+    fn expired(&self, id: JobId) -> StoreFuture<'_, Option<Option<String>>> {
+        self.inner.expired(id)
+    }
+
+    fn forget_expired(&self, time: i64) -> StoreFuture<'_, ()> {
+        self.inner.forget_expired(time)
+    }
 }
 
 impl JobStore for Doubtful {

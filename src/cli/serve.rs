@@ -15,7 +15,7 @@ use super::Failure;
 use crate::http::access::KeyRing;
 use crate::http::{self, App, Limits};
 use crate::jobs::extraction::Extraction;
-use crate::jobs::{JobService, Settings, TooManyWorkers, log_panics_without_text};
+use crate::jobs::{JobService, Retention, Settings, TooManyWorkers, log_panics_without_text};
 
 pub use args::Args;
 use args::LogFormat;
@@ -80,8 +80,14 @@ fn check_open(address: SocketAddr, keys: &KeyRing, insecure: bool) -> Result<(),
 }
 
 fn settings(args: &Args) -> Result<Settings, TooManyWorkers> {
-    let settings =
-        Settings { max_crashes: args.max_crashes, run_limit: args.max_run.0, ..Settings::new(&args.data) };
+    let retention =
+        Retention { input: args.keep_input.map(|span| span.0), job: args.keep_jobs.map(|span| span.0) };
+    let settings = Settings {
+        max_crashes: args.max_crashes,
+        run_limit: args.max_run.0,
+        retention,
+        ..Settings::new(&args.data)
+    };
     settings.on(args.threads, args.workers)
 }
 

@@ -18,6 +18,10 @@ pub enum JobError {
     Failed { id: JobId, failure: Box<JobFailure> },
     #[error("job {id} is {status}; only a failed job can be tried again")]
     NotFailed { id: JobId, status: JobStatus },
+    #[error("job {id} was kept for its time and is gone")]
+    Expired { id: JobId, owner: Option<String> },
+    #[error("the mesh of job {id} is no longer kept")]
+    InputRemoved { id: JobId },
     #[error("job {id} is being purged")]
     Purging { id: JobId },
     #[error("job {id} has no result as {}", format.extension())]

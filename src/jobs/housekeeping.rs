@@ -1,22 +1,28 @@
-//! What is done again and again beside the jobs: room is kept for a full disk, begun purges are ended.
+//! What is done again and again beside the jobs: room is kept for a full disk, begun purges are ended,
+//! what is kept for too long is removed.
 
 use std::sync::Arc;
 
 use super::recovery::finish_purges;
+use super::retention::sweep;
 use super::worker::{Phase, Shared};
 
 /// Keeps house until the service drains.
 pub(super) async fn keep(shared: Arc<Shared>) {
     let mut phase = shared.phase.subscribe();
+    let pace = shared.settings.retention.pace(shared.settings.housekeeping);
     loop {
         tokio::select! {
-            () = tokio::time::sleep(shared.settings.housekeeping) => {}
+            () = tokio::time::sleep(pace) => {}
             // The sender lives in `shared`, so the wait does not fail.
             _ = phase.wait_for(|phase| *phase != Phase::Open) => return,
         }
         keep_reserve(&shared).await;
         if let Err(error) = finish_purges(shared.store.as_ref(), shared.blobs.as_ref()).await {
             tracing::warn!(%error, "purges that were begun cannot be looked up");
+        }
+        if let Err(error) = sweep(&shared).await {
+            tracing::warn!(%error, "what is kept for too long cannot be looked up");
         }
     }
 }

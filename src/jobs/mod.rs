@@ -28,6 +28,7 @@ mod priority;
 mod recovery;
 mod removal;
 mod results;
+mod retention;
 pub mod runner;
 mod service;
 mod settings;
@@ -49,6 +50,7 @@ pub use model::{
 pub use panics::log_panics_without_text;
 pub use priority::{Priority, UnknownPriority};
 pub use removal::Removed;
+pub use retention::Retention;
 pub use service::{JobService, Upload};
 pub use settings::{MAX_CRASHES, RUN_LIMIT, Settings, TooManyWorkers};
 pub use storage::Storage;

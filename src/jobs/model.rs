@@ -279,6 +279,8 @@ pub struct Job {
     pub lease: Option<Lease>,
     /// When its purge was begun: some of its files may be gone.
     pub purging: Option<i64>,
+    /// When its input was removed, before the job itself.
+    pub input_removed: Option<i64>,
 }
 
 impl Job {
@@ -300,6 +302,7 @@ impl Job {
             attempts: 0,
             lease: None,
             purging: None,
+            input_removed: None,
         }
     }
 }

@@ -22,10 +22,10 @@ impl JobService {
     pub async fn remove(&self, id: JobId) -> Result<Removed, JobError> {
         // Each turn ends unless the job changed its state in between.
         loop {
-            let job = match self.shared.store.get(id).await {
-                Ok(job) => Some(job.ok_or(JobError::NotFound { id })?),
-                Err(StoreError::Corrupt { .. }) => None,
-                Err(error) => return Err(error.into()),
+            let job = match self.row(id).await {
+                Ok(job) => Some(job),
+                Err(JobError::Store(StoreError::Corrupt { .. })) => None,
+                Err(error) => return Err(error),
             };
             let active = job.as_ref().is_none_or(|job| job.status.is_active());
             if active && self.dismiss(id).await? && job.is_some() {

@@ -151,7 +151,7 @@ impl JobService {
         format: OutputFormat,
         codings: &[Coding],
     ) -> Result<StoredArtifact, JobError> {
-        let job = self.shared.store.get(id).await?.ok_or(JobError::NotFound { id })?;
+        let job = self.row(id).await?;
         if job.purging.is_some() {
             return Err(JobError::Purging { id });
         }

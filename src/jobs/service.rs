@@ -149,9 +149,23 @@ impl JobService {
     pub async fn status(&self, id: JobId) -> Result<Job, JobError> {
         let job = match self.shared.board.row(id) {
             Some(job) => job,
-            None => self.shared.store.get(id).await?.ok_or(JobError::NotFound { id })?,
+            None => self.row(id).await?,
         };
         Ok(self.with_progress(job))
+    }
+
+    /// The job's row in the store.
+    ///
+    /// # Errors
+    /// [`JobError::Expired`] where there was one, [`JobError::NotFound`] where there never was, or it was purged.
+    pub(super) async fn row(&self, id: JobId) -> Result<Job, JobError> {
+        match self.shared.store.get(id).await? {
+            Some(job) => Ok(job),
+            None => Err(match self.shared.store.expired(id).await? {
+                Some(owner) => JobError::Expired { id, owner },
+                None => JobError::NotFound { id },
+            }),
+        }
     }
 
     /// Lets a failed job run again, with its own mesh and parameters.
@@ -163,10 +177,11 @@ impl JobService {
             return Err(JobError::ShuttingDown);
         }
         if !self.shared.store.retry(id, self.shared.clock.now_ms()).await? {
-            let job = self.shared.store.get(id).await?.ok_or(JobError::NotFound { id })?;
-            return Err(match job.purging {
-                Some(_) => JobError::Purging { id },
-                None => JobError::NotFailed { id, status: job.status },
+            let job = self.row(id).await?;
+            return Err(match (job.purging, job.status, job.input_removed) {
+                (Some(_), ..) => JobError::Purging { id },
+                (None, JobStatus::Failed, Some(_)) => JobError::InputRemoved { id },
+                _ => JobError::NotFailed { id, status: job.status },
             });
         }
         self.shared.wake.notify_one();

@@ -4,6 +4,8 @@ use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::PathBuf;
 use std::time::Duration;
 
+use super::Retention;
+
 /// Crashes of a job that ran alone after which it is given up. The `unwrap` is tried when this is compiled.
 pub const MAX_CRASHES: NonZeroU32 = NonZeroU32::new(3).unwrap();
 
@@ -25,6 +27,8 @@ pub struct Settings {
     pub run_limit: Duration,
     /// How often an idle worker looks into the store although nobody woke it.
     pub poll: Duration,
+    /// How long an ended job and its mesh are kept.
+    pub retention: Retention,
     /// How often the service looks after its data folder.
     pub housekeeping: Duration,
     /// The least time between two writes of a running job's progress to the store.
@@ -51,6 +55,7 @@ impl Settings {
             threads_per_worker,
             max_crashes: MAX_CRASHES,
             run_limit: RUN_LIMIT,
+            retention: Retention::default(),
             poll: Duration::from_secs(5),
             housekeeping: Duration::from_secs(60),
             flush: Duration::from_secs(1),

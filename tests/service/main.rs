@@ -25,6 +25,7 @@ mod refusals;
 mod resend;
 mod restarts;
 mod results;
+mod retention;
 mod setup;
 mod shared_meshes;
 mod stalls;

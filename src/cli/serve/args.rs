@@ -50,6 +50,12 @@ pub struct Args {
     /// How long one run of a job may take.
     #[arg(long, env = "ROSALINE_MAX_RUN", default_value = "60m", value_name = "TIME")]
     pub max_run: Span,
+    /// How long an ended job's mesh is kept, 0 for not at all [default: as long as the job].
+    #[arg(long, env = "ROSALINE_KEEP_INPUT", value_name = "TIME")]
+    pub keep_input: Option<Span>,
+    /// How long an ended job and its results are kept [default: until they are deleted].
+    #[arg(long, env = "ROSALINE_KEEP_JOBS", value_name = "TIME")]
+    pub keep_jobs: Option<Span>,
     /// How long an upload may stand still, in seconds or with s or m, before it is given up.
     #[arg(long, env = "ROSALINE_UPLOAD_IDLE", default_value = "30s", value_name = "TIME")]
     pub upload_idle: Span,
@@ -99,11 +105,13 @@ impl FromStr for Span {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let expected = || "a time is a whole number of seconds, alone or with s or m".to_owned();
+        let expected = || "a time is a whole number of seconds, alone or with s, m, h or d".to_owned();
         let (number, unit) = number_and_unit(text).ok_or_else(expected)?;
         let factor = match unit {
             "" | "s" => 1,
             "m" => 60,
+            "h" => 60 * 60,
+            "d" => 24 * 60 * 60,
             _ => return Err(expected()),
         };
         let seconds = number.checked_mul(factor).ok_or_else(expected)?;
@@ -138,7 +146,9 @@ mod tests {
         assert_eq!("30s".parse(), Ok(Span(Duration::from_secs(30))));
         assert_eq!("2m".parse(), Ok(Span(Duration::from_secs(120))));
         assert_eq!("0".parse(), Ok(Span(Duration::ZERO)));
-        for text in ["", "s", "-1", "1h"] {
+        assert_eq!("12h".parse(), Ok(Span(Duration::from_secs(43_200))));
+        assert_eq!("30d".parse(), Ok(Span(Duration::from_secs(2_592_000))));
+        for text in ["", "s", "-1", "1w"] {
             assert!(text.parse::<Span>().is_err(), "{text}");
         }
     }

@@ -35,6 +35,9 @@ impl FromRequestParts<App> for Id {
         if caller.bound_to().is_some() {
             let job = match app.jobs().status(id).await {
                 Err(JobError::Store(StoreError::Corrupt { .. })) => return Err(job_not_found().about(id)),
+                Err(JobError::Expired { owner, .. }) if !caller.may_see(owner.as_deref()) => {
+                    return Err(job_not_found().about(id));
+                }
                 job => job?,
             };
             if !caller.may_see(job.spec.owner.as_deref()) {

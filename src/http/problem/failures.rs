@@ -4,8 +4,8 @@ use axum::http::header;
 
 use super::super::idempotency;
 use super::{
-    INTERNAL_ERROR, JOB_DISMISSED, JOB_NOT_FOUND, JOB_PURGED, NOT_READY, NOT_RETRYABLE, Problem,
-    RESULT_NOT_READY, STORAGE_FULL, STORAGE_UNAVAILABLE,
+    INPUT_REMOVED, INTERNAL_ERROR, JOB_DISMISSED, JOB_EXPIRED, JOB_NOT_FOUND, JOB_PURGED, NOT_READY,
+    NOT_RETRYABLE, Problem, RESULT_NOT_READY, STORAGE_FULL, STORAGE_UNAVAILABLE,
 };
 use crate::jobs::JobError;
 use crate::jobs::blob::BlobError;
@@ -39,6 +39,14 @@ impl From<JobError> for Problem {
             JobError::NotFailed { id, status } => {
                 let detail = format!("the job is {status}; only a failed job can be tried again");
                 Problem::new(&NOT_RETRYABLE, detail).with("job_status", status.name()).about(id)
+            }
+            JobError::Expired { id, .. } => {
+                let detail = "jobs are kept for a time that the operator set; post the mesh again";
+                Problem::new(&JOB_EXPIRED, detail).about(id)
+            }
+            JobError::InputRemoved { id } => {
+                let detail = "its mesh was removed after the time that the operator set; post it again";
+                Problem::new(&INPUT_REMOVED, detail).about(id)
             }
             JobError::Purging { id } => {
                 Problem::new(&JOB_PURGED, "the job is being purged and has no result; post the mesh again")

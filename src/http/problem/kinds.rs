@@ -31,6 +31,8 @@ kinds! {
     JOB_NOT_FOUND = NOT_FOUND, "job-not-found", "There is no such job";
     RESULT_NOT_READY = NOT_FOUND, "result-not-ready", "The job has no result yet";
     JOB_DISMISSED = NOT_FOUND, "job-dismissed", "The job was cancelled and has no result";
+    JOB_EXPIRED = GONE, "job-expired", "The job was kept for its time and is gone";
+    INPUT_REMOVED = CONFLICT, "input-removed", "The job's mesh is no longer kept";
     JOB_PURGED = GONE, "job-purged", "The job was purged";
     METHOD_NOT_ALLOWED = METHOD_NOT_ALLOWED, "method-not-allowed", "The method does not apply to this path";
     NOT_ACCEPTABLE = NOT_ACCEPTABLE, "not-acceptable", "The result has no form that the client accepts";

@@ -1,6 +1,7 @@
 //! The job store: one table, opened by URL.
 
 mod connection;
+mod retention;
 mod row;
 mod sql;
 #[cfg(test)]
@@ -68,11 +69,32 @@ pub struct Recovered {
     pub failed: u64,
 }
 
+/// What retention needs of the table of jobs.
+pub trait RetentionStore {
+    /// Jobs that ended at `time` or before, oldest first.
+    fn ended_before(&self, time: i64, limit: u32) -> StoreFuture<'_, Vec<JobId>>;
+
+    /// Those of them that still have their input, with its blob's key.
+    fn inputs_before(&self, time: i64, limit: u32) -> StoreFuture<'_, Vec<(JobId, String)>>;
+
+    /// The job's input is gone.
+    fn input_removed(&self, id: JobId, now: i64) -> StoreFuture<'_, ()>;
+
+    /// Remembers the job's id and owner for when its row is gone.
+    fn note_expired(&self, id: JobId, now: i64) -> StoreFuture<'_, ()>;
+
+    /// The owner of an expired job, if it is one.
+    fn expired(&self, id: JobId) -> StoreFuture<'_, Option<Option<String>>>;
+
+    /// Forgets what expired at `time` or before.
+    fn forget_expired(&self, time: i64) -> StoreFuture<'_, ()>;
+}
+
 /// The durable table of jobs.
 ///
 /// A change is on disk when its future is ready. Where a [`Lease`] is asked for, the change happens only
 /// if the job still runs under that lease; the answer says whether it did. Times are epoch milliseconds.
-pub trait JobStore: Send + Sync + 'static {
+pub trait JobStore: RetentionStore + Send + Sync + 'static {
     /// # Errors
     /// [`StoreError::KeyTaken`] when another job has its idempotency key.
     fn insert<'a>(&'a self, job: &'a Job) -> StoreFuture<'a, ()>;

@@ -98,6 +98,7 @@ pub(super) fn job(row: &AnyRow) -> Result<Job, StoreError> {
         attempts: columns.number("attempts")?,
         lease: columns.optional_text("lease")?.map(Lease::from_stored),
         purging: column(row, "purging")?,
+        input_removed: column(row, "input_removed")?,
     })
 }
 

@@ -6,7 +6,7 @@ use std::collections::HashSet;
 
 use futures::future::BoxFuture;
 use futures::{FutureExt, TryStreamExt};
-use sqlx::any::AnyArguments;
+use sqlx::any::{AnyArguments, AnyRow};
 use sqlx::query::Query;
 use sqlx::{Any, AnyPool, AssertSqlSafe, Row};
 
@@ -25,7 +25,7 @@ pub struct SqlStore {
 }
 
 /// A statement with its binds.
-type Statement<'q> = Query<'q, Any, AnyArguments>;
+pub(super) type Statement<'q> = Query<'q, Any, AnyArguments>;
 
 impl SqlStore {
     /// Opens the database at `url` and brings its tables to this version's form.
@@ -50,8 +50,13 @@ impl SqlStore {
     }
 
     /// Runs a change; the number of rows changed.
-    async fn change(&self, statement: Statement<'_>) -> Result<u64, StoreError> {
+    pub(super) async fn change(&self, statement: Statement<'_>) -> Result<u64, StoreError> {
         Ok(statement.execute(&self.writer).await?.rows_affected())
+    }
+
+    /// Every row that a query gives.
+    pub(super) async fn rows(&self, statement: Statement<'_>) -> Result<Vec<AnyRow>, StoreError> {
+        Ok(statement.fetch_all(&self.readers).await?)
     }
 
     /// Runs a change of one job that is in the right state; whether it was.

@@ -26,7 +26,7 @@ pub(super) const CLAIM: &str = "UPDATE jobs SET status = 'running', lease = $1, 
 /// so that it runs alone.
 pub(super) const RETRY: &str = "UPDATE jobs SET status = 'accepted', updated = $2, finished = NULL, started = NULL, \
     error = NULL, progress = 0, stage = NULL, attempts = CASE WHEN crashes > 0 THEN attempts ELSE 0 END, crashes = 0 \
-    WHERE id = $1 AND status = 'failed' AND purging IS NULL";
+    WHERE id = $1 AND status = 'failed' AND purging IS NULL AND input_removed IS NULL";
 
 /// After the process died: counts a crash for a job that ran alone.
 pub(super) const COUNT: &str = "UPDATE jobs SET crashes = crashes + 1 WHERE status = 'running' \
