@@ -75,20 +75,20 @@ pub fn settle(surface: &Surface, track: &mut Track) {
 }
 
 /// The station whose section is most surely this branch alone, and whether it is round enough to trust.
-fn reference(stations: &[Station]) -> Option<(usize, bool)> {
+fn reference(rings: &[LevelSet], stations: &[Station]) -> Option<(usize, bool)> {
     let n = stations.len();
     let roundness = |s: &Station| s.profile.roundness();
-    let mut radii: Vec<f64> =
-        stations.iter().filter(|s| s.sight == Sight::Clean).map(|s| s.section_radius).collect();
-    radii.sort_by(f64::total_cmp);
-    let usual = radii.get(radii.len() / 4).copied()?;
+    let clean = || stations.iter().filter(|s| s.sight == Sight::Clean);
+    let usual = lower_quartile(clean().map(|s| s.section_radius))?;
+    let usual_ring = lower_quartile(clean().map(|s| rings[s.ring].radius()))?;
     let score = |i: usize| {
         let station = &stations[i];
         let neighbours = [i.saturating_sub(1), (i + 1).min(n - 1)];
         let jump = neighbours.map(|j| (stations[j].section_radius / station.section_radius).ln().abs());
         let off_middle = (i as f64 + 0.5 - 0.5 * n as f64).abs() / n as f64;
-        // Sections that take in another branch or a sac are wide.
-        let wide = (station.section_radius / usual).ln().max(0.0);
+        // Sections and level sets that take in another branch or a sac are wide.
+        let wide = (station.section_radius / usual).ln().max(0.0)
+            + (rings[station.ring].radius() / usual_ring).ln().max(0.0);
         roundness(station) + 2.0 * jump[0].max(jump[1]) + off_middle + wide
     };
     let candidates = (0..n).filter(|&i| stations[i].sight == Sight::Clean);
@@ -96,11 +96,17 @@ fn reference(stations: &[Station]) -> Option<(usize, bool)> {
     Some((best, roundness(&stations[best]) < ROUND))
 }
 
+fn lower_quartile(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 4).copied()
+}
+
 /// Judges every station outward from the surest one and drops what lies beyond the last clean ones.
 ///
 /// Returns whether any section was surely this branch alone.
 pub fn judge_outward(wall: Wall<'_>, track: &mut Track) -> bool {
-    let Some((middle, trusted)) = reference(&track.stations) else {
+    let Some((middle, trusted)) = reference(&track.rings, &track.stations) else {
         keep_ring_centres(&mut track.stations);
         return false;
     };

@@ -14,6 +14,8 @@ use crate::centerline::cut_plane::section::Section;
 const TERMS: usize = 8;
 /// Variance of a vertex over that expected of each term.
 const HOLD: [f64; TERMS] = [0.0, 0.01, 0.01, 0.2, 0.2, 0.02, 1.0, 1.0];
+/// Triangles that lean more than this (sine) are a cap's.
+const CAP: f64 = 0.75;
 /// Share of the radius that facets may cut away unnoticed.
 const FACETS: f64 = 0.02;
 /// Fewer vertices say nothing.
@@ -59,8 +61,10 @@ impl WallShape {
     ///
     /// `radius` is the section's own, for sections of too few vertices.
     pub fn of(surface: &Surface, cut: &Section, centre: &Point2<f64>, radius: f64) -> Self {
-        let mut vertices: Vec<u32> =
-            cut.triangles.iter().flat_map(|&t| surface.mesh.triangles[t as usize]).collect();
+        // A cap's vertices say nothing of the wall.
+        let wall = cut.triangles.iter().map(|&t| surface.mesh.triangles[t as usize]);
+        let wall = wall.filter(|corners| lean(surface, corners, cut) < CAP);
+        let mut vertices: Vec<u32> = wall.flatten().collect();
         vertices.sort_unstable();
         vertices.dedup();
         let grain = grain(surface, cut);
@@ -142,6 +146,12 @@ impl WallShape {
         self.offset[1] = -self.offset[1];
         self.slope = -self.slope;
     }
+}
+
+/// How much (sine) a triangle leans out of the wall into the section's plane: 0 along the axis, 1 across it.
+fn lean(surface: &Surface, corners: &[u32; 3], cut: &Section) -> f64 {
+    let [a, b, c] = corners.map(|v| surface.mesh.vertices[v as usize]);
+    (b - a).cross(&(c - a)).try_normalize(0.0).map_or(1.0, |normal| normal.dot(&cut.frame.t).abs())
 }
 
 /// The terms at a vertex in direction `arm` (unit) from the centre.
