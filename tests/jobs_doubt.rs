@@ -155,6 +155,10 @@ impl JobStore for Doubtful {
         self.inner.waiting()
     }
 
+    fn oldest_waiting(&self) -> StoreFuture<'_, Option<i64>> {
+        self.inner.oldest_waiting()
+    }
+
     fn active_of<'a>(&'a self, owner: &'a str) -> StoreFuture<'a, u64> {
         self.inner.active_of(owner)
     }

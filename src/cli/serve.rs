@@ -13,6 +13,7 @@ use tracing_subscriber::EnvFilter;
 
 use super::Failure;
 use crate::http::access::KeyRing;
+use crate::http::audit::Trail;
 use crate::http::{self, App, Limits};
 use crate::jobs::extraction::Extraction;
 use crate::jobs::{JobService, Retention, Settings, TooManyWorkers, log_panics_without_text};
@@ -54,7 +55,14 @@ async fn serve(args: Args) -> Result<(), Failure> {
     let keys = KeyRing::open(args.keys.clone().unwrap_or_else(|| args.data.join("keys.json")))?;
     check_open(address, &keys, args.insecure)?;
     let jobs = JobService::open(settings(&args)?, Arc::new(Extraction::new(limits.mesh))).await?;
-    let app = App::new(jobs, limits, Some(keys))?;
+    let path = args.audit.clone().unwrap_or_else(|| args.data.join("audit.jsonl"));
+    let trail = Trail::open(&path, args.audit_rotate.0).map_err(|error| {
+        Failure::new(format!(
+            "cannot add to the audit trail {}: {error}; choose another with --audit",
+            path.display()
+        ))
+    })?;
+    let app = App::new(jobs, limits, Some(keys), Some(trail))?;
     // For people and for scripts that asked for port 0; a closed stdout leaves nobody to tell.
     let _ = writeln!(std::io::stdout(), "listening on http://{address}");
     tracing::info!(%address, "ready");

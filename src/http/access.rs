@@ -11,7 +11,10 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use super::App;
+use super::audit::Occurrence;
 use super::problem::{FORBIDDEN, Problem, UNAUTHENTICATED};
+use super::trace::job_in_path;
+use crate::jobs::JobId;
 
 pub use keys::{Key, KeyError, KeyFile, Scope};
 pub use ring::KeyRing;
@@ -61,18 +64,33 @@ impl Caller {
     }
 }
 
-/// Lets a request for `/v1` through once its caller is known and may do what it asks for.
+/// Lets a request for `/v1` or `/metrics` through, and tells the audit trail of it, once its caller is known and may do what it asks for.
 pub async fn admit(State(app): State<App>, mut request: Request, next: Next) -> Response {
-    if !request.uri().path().starts_with("/v1/") {
+    let path = request.uri().path().to_owned();
+    if !path.starts_with("/v1/") && path != "/metrics" {
         return next.run(request).await;
     }
-    match check(&app, request.method(), request.headers()) {
+    let (method, peer) = (request.method().clone(), request.extensions().get().copied());
+    let (response, caller) = match check(&app, &method, request.headers()) {
         Ok(caller) => {
-            request.extensions_mut().insert(caller);
-            next.run(request).await
+            request.extensions_mut().insert(caller.clone());
+            (next.run(request).await, Some(caller))
         }
-        Err(problem) => problem.into_response(),
+        Err(problem) => (problem.into_response(), None),
+    };
+    let job = job_in_path(&path).or_else(|| response.extensions().get::<JobId>().copied());
+    let status = response.status();
+    // Written off the async threads, and before the answer begins.
+    let told = tokio::task::spawn_blocking(move || {
+        let user = caller.as_ref().and_then(Caller::owner);
+        if let Some(trail) = app.trail() {
+            trail.tell(&Occurrence { method: &method, path: &path, status, user, peer, job });
+        }
+    });
+    if let Err(error) = told.await {
+        tracing::error!(%error, "the audit trail cannot be added to");
     }
+    response
 }
 
 fn check(app: &App, method: &Method, headers: &HeaderMap) -> Result<Caller, Problem> {

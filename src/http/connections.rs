@@ -11,6 +11,9 @@ use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
+use tower_http::add_extension::AddExtension;
+
+use super::audit::Peer;
 
 /// Serves every connection until `closing`, then those that are open until they have answered.
 ///
@@ -28,8 +31,8 @@ pub(super) async fn serve(
     let mut open = JoinSet::new();
     loop {
         tokio::select! {
-            (socket, _) = Listener::accept(&mut listener) => {
-                open.spawn(converse(http.clone(), socket, router.clone(), closing.clone()));
+            (socket, address) = Listener::accept(&mut listener) => {
+                open.spawn(converse(http.clone(), socket, Peer(address.ip()), router.clone(), closing.clone()));
             }
             Some(_) = open.join_next() => {}
             () = closing.cancelled() => break,
@@ -44,12 +47,14 @@ pub(super) async fn serve(
 async fn converse(
     http: Builder<TokioExecutor>,
     socket: TcpStream,
+    peer: Peer,
     router: Router,
     closing: CancellationToken,
 ) {
     // Small answers should not wait for more; a socket that cannot be set works all the same.
     let _ = socket.set_nodelay(true);
-    let connection = http.serve_connection(TokioIo::new(socket), TowerToHyperService::new(router));
+    let connection = http
+        .serve_connection(TokioIo::new(socket), TowerToHyperService::new(AddExtension::new(router, peer)));
     let mut connection = pin!(connection);
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,

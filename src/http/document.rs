@@ -20,12 +20,12 @@ pub use parameters::{
     ListParameters, OriginHeaders, PreferHeader, SubmitQuery,
 };
 pub use problems::{
-    DeleteProblems, JobProblems, LimitsProblems, ListProblems, NegotiatedProblems, ReadyProblems,
-    ResultProblems, RetryProblems, SubmitProblems,
+    DeleteProblems, JobProblems, LimitsProblems, ListProblems, MetricsProblems, NegotiatedProblems,
+    ReadyProblems, ResultProblems, RetryProblems, SubmitProblems,
 };
 pub use responses::{
     AnyResult, Created, Deleted, Document, Events, GlbResult, GltfResult, Healthy, JsonResult, LimitsAnswer,
-    List, Retried, Status,
+    List, Metrics, Retried, Status,
 };
 
 /// The security scheme of API keys.

@@ -6,9 +6,11 @@
 
 pub mod access;
 mod admission;
+pub mod audit;
 mod coding;
 mod connections;
 mod cors;
+mod counters;
 mod digest;
 pub mod document;
 mod etag;

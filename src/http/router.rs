@@ -8,7 +8,10 @@ use tower_http::catch_panic::CatchPanicLayer;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use super::operations::{delete, events, health, limits, list, openapi, result, retry, status, submit};
+use super::counters::Counters;
+use super::operations::{
+    delete, events, health, limits, list, metrics, openapi, result, retry, status, submit,
+};
 use super::problem::{INTERNAL_ERROR, METHOD_NOT_ALLOWED, NOT_FOUND, Problem};
 use super::{App, access, cors, document, lingering, trace};
 
@@ -24,6 +27,7 @@ pub fn routes() -> OpenApiRouter<App> {
         .routes(routes!(result::gltf))
         .routes(routes!(result::glb))
         .routes(routes!(limits::limits))
+        .routes(routes!(metrics::metrics))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
         .routes(routes!(openapi::openapi))
@@ -34,18 +38,19 @@ pub fn router(app: App) -> Router {
     let (router, _) = routes().split_for_parts();
     let router = router.fallback(not_found).method_not_allowed_fallback(method_not_allowed);
     let admitted = middleware::from_fn_with_state(app.clone(), access::admit);
-    wrapped(router.with_state(app).layer(admitted))
+    let counters = app.counters().clone();
+    wrapped(router.with_state(app).layer(admitted), counters)
 }
 
 /// What stands around every route.
-fn wrapped(router: Router) -> Router {
+fn wrapped(router: Router, counters: Counters) -> Router {
     router
         // Uploads are streams with a limit of their own.
         .layer(DefaultBodyLimit::disable())
         .layer(middleware::from_fn(lingering::linger))
         .layer(CatchPanicLayer::custom(|_: Box<dyn std::any::Any + Send>| panicked()))
         .layer(cors::layer())
-        .layer(middleware::from_fn(trace::log))
+        .layer(middleware::from_fn_with_state(counters, trace::log))
 }
 
 async fn not_found() -> Problem {
@@ -78,7 +83,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_panic_is_a_problem_without_its_message() {
-        let router = wrapped(Router::new().route("/", get(panics)));
+        let router = wrapped(Router::new().route("/", get(panics)), Counters::default());
         let response = router.oneshot(Request::new(Body::empty())).await.unwrap();
         assert_eq!(response.status(), StatusCode::INTERNAL_SERVER_ERROR);
         assert_eq!(response.headers()[header::CONTENT_TYPE], "application/problem+json");

@@ -7,6 +7,8 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use super::access::KeyRing;
+use super::audit::Trail;
+use super::counters::Counters;
 use super::idempotency::InFlight;
 use super::limits::Limits;
 use super::validation::Validator;
@@ -23,6 +25,8 @@ struct Inner {
     in_flight: InFlight,
     uploads: Arc<Semaphore>,
     keys: Option<KeyRing>,
+    trail: Option<Trail>,
+    counters: Counters,
     closing: CancellationToken,
 }
 
@@ -35,6 +39,7 @@ impl App {
         jobs: Arc<JobService>,
         limits: Limits,
         keys: Option<KeyRing>,
+        trail: Option<Trail>,
     ) -> Result<Self, ThreadPoolBuildError> {
         let validator = Validator::new(&limits)?;
         Ok(Self(Arc::new(Inner {
@@ -44,6 +49,8 @@ impl App {
             in_flight: InFlight::default(),
             uploads: Arc::new(Semaphore::new(limits.uploads)),
             keys,
+            trail,
+            counters: Counters::default(),
             closing: CancellationToken::new(),
         })))
     }
@@ -62,6 +69,14 @@ impl App {
 
     pub(super) fn keys(&self) -> Option<&KeyRing> {
         self.0.keys.as_ref()
+    }
+
+    pub(super) fn trail(&self) -> Option<&Trail> {
+        self.0.trail.as_ref()
+    }
+
+    pub(super) fn counters(&self) -> &Counters {
+        &self.0.counters
     }
 
     /// A place for each upload that may come in at the same time.

@@ -2,15 +2,16 @@
 
 use std::time::Instant;
 
-use axum::extract::{MatchedPath, Request};
+use axum::extract::{MatchedPath, Request, State};
 use axum::http::Method;
 use axum::middleware::Next;
 use axum::response::Response;
 
+use super::counters::Counters;
 use crate::jobs::JobId;
 
 /// Logs every request once its answer begins.
-pub async fn log(request: Request, next: Next) -> Response {
+pub async fn log(State(counters): State<Counters>, request: Request, next: Next) -> Response {
     let begin = Instant::now();
     let method = method(request.method());
     let matched = request.extensions().get::<MatchedPath>().cloned();
@@ -20,6 +21,7 @@ pub async fn log(request: Request, next: Next) -> Response {
     let job = job.or_else(|| response.extensions().get::<JobId>().copied());
     let job = job.map(tracing::field::display);
     let status = response.status().as_u16();
+    counters.request(method, &route, status, begin.elapsed());
     let micros = u64::try_from(begin.elapsed().as_micros()).unwrap_or(u64::MAX);
     match route.as_str() {
         "/healthz" | "/readyz" if status == 200 => tracing::debug!(method, route, status, micros),
@@ -43,6 +45,6 @@ fn method(method: &Method) -> &'static str {
 }
 
 /// Only what is a well-formed id.
-fn job_in_path(path: &str) -> Option<JobId> {
+pub(super) fn job_in_path(path: &str) -> Option<JobId> {
     path.strip_prefix("/v1/jobs/")?.split('/').next()?.parse().ok()
 }

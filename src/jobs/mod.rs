@@ -44,7 +44,7 @@ pub use folder::{DataFolder, FolderError};
 pub use id::{IdSource, JobId, ParseJobIdError};
 pub use live::JobStage;
 pub use model::{
-    Counts, FileName, FormatHint, Idempotency, Job, JobSpec, JobStatus, Lease, Origin, ParameterValues,
+    Counts, FileName, FormatHint, Idempotency, Job, JobSpec, JobStatus, Lease, Load, Origin, ParameterValues,
     StoredArtifact, StoredInput, UnknownStatus,
 };
 pub use panics::log_panics_without_text;

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
@@ -315,6 +316,17 @@ pub struct Counts {
     pub successful: u64,
     pub failed: u64,
     pub dismissed: u64,
+}
+
+/// How much there is to do, and who does it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Load {
+    pub counts: Counts,
+    /// How long the oldest waiting job has waited.
+    pub queue_age: Duration,
+    pub workers: usize,
+    /// Workers that wait for a cancelled run which does not stop.
+    pub held: usize,
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ use super::runner::JobRunner;
 use super::store::{ListQuery, Page};
 use super::worker::{Phase, Shared, Worker};
 use super::{
-    Clock, Counts, IdSource, Job, JobError, JobId, JobSpec, JobStatus, Settings, Storage, StoredInput,
+    Clock, Counts, IdSource, Job, JobError, JobId, JobSpec, JobStatus, Load, Settings, Storage, StoredInput,
     SystemClock, Unready,
 };
 
@@ -260,6 +260,19 @@ impl JobService {
     /// Waiting jobs.
     pub async fn waiting(&self) -> Result<u64, JobError> {
         Ok(self.shared.store.waiting().await?)
+    }
+
+    /// What there is to do.
+    pub async fn load(&self) -> Result<Load, JobError> {
+        let shared = &self.shared;
+        let oldest = shared.store.oldest_waiting().await?;
+        let age = oldest.map_or(0, |created| shared.clock.now_ms().saturating_sub(created).max(0));
+        Ok(Load {
+            counts: shared.store.counts().await?,
+            queue_age: Duration::from_millis(age.unsigned_abs()),
+            workers: shared.settings.workers.get(),
+            held: shared.held.load(Ordering::Relaxed),
+        })
     }
 
     /// Active jobs of `owner`.

@@ -31,5 +31,6 @@ mod shared_meshes;
 mod stalls;
 mod storage_faults;
 mod submission;
+mod trail;
 mod turns;
 mod uploads;

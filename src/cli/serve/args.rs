@@ -38,6 +38,12 @@ pub struct Args {
     /// Listen on an address that others can reach although no key is needed.
     #[arg(long, env = "ROSALINE_INSECURE")]
     pub insecure: bool,
+    /// File of the audit trail, which is only ever added to [default: audit.jsonl in the data folder].
+    #[arg(long, env = "ROSALINE_AUDIT", value_name = "FILE")]
+    pub audit: Option<PathBuf>,
+    /// Size at which the audit trail is set aside and a new file begun.
+    #[arg(long, env = "ROSALINE_AUDIT_ROTATE", default_value = "64MiB", value_name = "SIZE")]
+    pub audit_rotate: Size,
     /// Uploads that may come in at the same time.
     #[arg(long, env = "ROSALINE_MAX_UPLOADS", default_value = "256", value_name = "N")]
     pub max_uploads: NonZeroUsize,

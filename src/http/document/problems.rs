@@ -47,6 +47,8 @@ problems! {
     ];
     /// Of `GET /v1/limits`.
     LimitsProblems => [UNAUTHENTICATED, FORBIDDEN];
+    /// Of `GET /metrics`.
+    MetricsProblems => [UNAUTHENTICATED, FORBIDDEN, STORAGE_UNAVAILABLE];
     /// Of `GET /readyz`.
     ReadyProblems => [NOT_READY];
 }

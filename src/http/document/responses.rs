@@ -79,6 +79,9 @@ responses! {
     Healthy => [("200", ResponseBuilder::new()
         .description("All is well")
         .content(JSON, content("Health", Some(examples::health()))))];
+    Metrics => [("200", ResponseBuilder::new()
+        .description("Prometheus' text format")
+        .content("text/plain", Content::new(Some(ObjectBuilder::new().schema_type(Type::String)))))];
     LimitsAnswer => [("200", ResponseBuilder::new()
         .description("The limits in force")
         .content(JSON, content("Limits", None)))];

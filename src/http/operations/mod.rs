@@ -5,6 +5,7 @@ pub mod events;
 pub mod health;
 pub mod limits;
 pub mod list;
+pub mod metrics;
 pub mod openapi;
 pub mod result;
 pub mod retry;

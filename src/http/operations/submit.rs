@@ -97,7 +97,9 @@ async fn accept(
     let format = app.validator().check(turn, bytes, hint).await?;
     // What the content was found to be settles what a second reading could doubt.
     spec.hint = FormatHint { extension: Some(format.name().to_owned()), content_type: None };
-    Ok(app.jobs().submit(upload, spec).await?)
+    let job = app.jobs().submit(upload, spec).await?;
+    app.counters().uploaded(job.input.size);
+    Ok(job)
 }
 
 /// What a client or a proxy calls the request; what is no such name is passed over.

@@ -176,6 +176,9 @@ pub trait JobStore: RetentionStore + Send + Sync + 'static {
     /// How many jobs wait.
     fn waiting(&self) -> StoreFuture<'_, u64>;
 
+    /// When the oldest waiting job was accepted.
+    fn oldest_waiting(&self) -> StoreFuture<'_, Option<i64>>;
+
     /// How many jobs of this owner wait or run.
     fn active_of<'a>(&'a self, owner: &'a str) -> StoreFuture<'a, u64>;
 

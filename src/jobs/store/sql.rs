@@ -325,6 +325,15 @@ impl JobStore for SqlStore {
         .boxed()
     }
 
+    fn oldest_waiting(&self) -> StoreFuture<'_, Option<i64>> {
+        async move {
+            let sql = "SELECT created FROM jobs WHERE status = 'accepted' ORDER BY id LIMIT 1";
+            let rows = self.rows(sqlx::query(sql)).await?;
+            rows.first().map(|row| row.try_get("created")).transpose().map_err(StoreError::from)
+        }
+        .boxed()
+    }
+
     fn active_of<'a>(&'a self, owner: &'a str) -> StoreFuture<'a, u64> {
         async move {
             let sql =

@@ -1,0 +1,98 @@
+//! The audit trail and the metrics.
+
+use serde_json::Value;
+
+use crate::meshes;
+use crate::service::Service;
+
+fn trail(service: &Service) -> Vec<Value> {
+    let text = std::fs::read_to_string(service.data().join("audit.jsonl")).unwrap();
+    assert!(!text.contains("doe"), "{text}");
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// Event, action, outcome, user and job of a line.
+fn told(line: &Value) -> (String, String, u64, String, Option<String>) {
+    let event = &line["EventIdentification"];
+    let text = |value: &Value| value.as_str().unwrap().to_owned();
+    assert!(event["EventDateTime"].as_str().unwrap().ends_with('Z'));
+    assert_eq!(event["EventID"]["codeSystemName"], "DCM");
+    let who = &line["ActiveParticipant"][0];
+    assert_eq!(
+        (&who["NetworkAccessPointID"], &who["NetworkAccessPointTypeCode"]),
+        (&"127.0.0.1".into(), &"2".into())
+    );
+    (
+        text(&event["EventID"]["originalText"]),
+        text(&event["EventActionCode"]),
+        event["EventOutcomeIndicator"].as_u64().unwrap(),
+        text(&who["UserID"]),
+        line["ParticipantObjectIdentification"][0]["ParticipantObjectID"].as_str().map(str::to_owned),
+    )
+}
+
+#[tokio::test]
+async fn who_did_what_to_which_job_is_told_and_stays_told() {
+    let mut service = Service::start(&[]);
+    let job = service.accepted("?name=doe.stl", meshes::small()).await;
+    service.ended(&job).await;
+    service.submit("?name=doe.stl", b"\x89PNG\r\n\x1a\n".to_vec()).await;
+    service.get(&format!("{job}/results/centerline")).send().await.unwrap();
+    service.get("/v1/jobs").send().await.unwrap();
+    service.post(&format!("{job}/retry")).send().await.unwrap();
+    let first = trail(&service);
+    service.kill();
+    let service = service.restart(&[]);
+    let mut keys = std::process::Command::new(env!("CARGO_BIN_EXE_rosaline"));
+    let output =
+        keys.args(["keys", "add", "pacs", "--scope", "submit,read", "--data"]).arg(service.data()).output();
+    let key = String::from_utf8(output.unwrap().stdout).unwrap();
+    service.delete(&job).send().await.unwrap();
+    service.get("/v1/jobs").header("authorization", format!("Bearer {}", key.trim())).send().await.unwrap();
+
+    let lines = trail(&service);
+    assert_eq!(lines[..first.len()], first[..], "what was written stays");
+    let id = job.rsplit('/').next().map(str::to_owned);
+    let line = |event: &str, action: &str, outcome: u64, user: &str, job: &Option<String>| {
+        (event.to_owned(), action.to_owned(), outcome, user.to_owned(), job.clone())
+    };
+    let expected = [
+        line("Import", "C", 0, "anonymous", &id),
+        line("Import", "C", 4, "anonymous", &None),
+        line("Export", "R", 0, "anonymous", &id),
+        line("Query", "E", 0, "anonymous", &None),
+        line("DICOM Instances Accessed", "U", 4, "anonymous", &id),
+        line("Security Alert", "E", 4, "anonymous", &id),
+        line("Query", "E", 0, "pacs", &None),
+    ];
+    assert_eq!(lines.iter().map(told).collect::<Vec<_>>(), expected);
+    assert!(!std::fs::read_to_string(service.data().join("audit.jsonl")).unwrap().contains(key.trim()));
+}
+
+#[tokio::test]
+async fn metrics_count_jobs_and_requests() {
+    let service = Service::start(&["--workers", "1"]);
+    let job = service.accepted("", meshes::small()).await;
+    service.ended(&job).await;
+    service.get("/v1/jobs/nothing%22%0A").send().await.unwrap();
+    let response = service.get("/metrics").send().await.unwrap();
+    assert!(response.headers()["content-type"].to_str().unwrap().starts_with("text/plain; version=0.0.4"));
+    let text = response.text().await.unwrap();
+    for line in [
+        "rosaline_jobs{state=\"successful\"} 1".to_owned(),
+        "rosaline_jobs{state=\"accepted\"} 0".to_owned(),
+        "rosaline_queue_age_seconds 0".to_owned(),
+        "rosaline_workers 1".to_owned(),
+        "rosaline_http_requests_total{method=\"POST\",route=\"/v1/jobs\",status=\"201\"} 1".to_owned(),
+        "rosaline_http_requests_total{method=\"GET\",route=\"/v1/jobs/{id}\",status=\"404\"} 1".to_owned(),
+        "rosaline_http_request_seconds_count{route=\"/v1/jobs\"} 1".to_owned(),
+        format!("rosaline_upload_bytes_total {}", meshes::small().len()),
+    ] {
+        assert!(text.lines().any(|found| found == line), "{line} is not in {text}");
+    }
+    // Every line is a comment or a name, labels and a number.
+    for line in text.lines().filter(|line| !line.starts_with('#')) {
+        let (name, value) = line.rsplit_once(' ').unwrap();
+        assert!(name.starts_with("rosaline_") && value.parse::<f64>().is_ok(), "{line}");
+    }
+}
