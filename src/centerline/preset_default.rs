@@ -321,13 +321,19 @@ fn fit_joints(surface: &Surface, network: &mut Network, control: &Control<'_>) -
 
 /// Leads the branches of a joint along their fitted ways.
 fn place(surface: &Surface, network: &mut Network, node: usize, joint: &FittedJoint) {
-    if let Some(anchor) = &mut network.nodes[node].anchor {
-        anchor.point = joint.centre;
-    }
+    let Some(anchor) = &mut network.nodes[node].anchor else { return };
+    let moved = joint.centre - std::mem::replace(&mut anchor.point, joint.centre);
     aim_bulges(surface, network, &network.incident(node), &joint.centre);
     for way in &joint.limbs {
         network.oriented(way.track, way.at_end, |track| {
-            track.stations.truncate(track.stations.len() - way.replaced);
+            let firm = track.stations.len() - way.replaced;
+            if way.hidden {
+                for (i, station) in track.stations[firm..].iter_mut().enumerate() {
+                    station.point += moved * ((i + 1) as f64 / (way.replaced + 1) as f64).powi(2);
+                }
+                return;
+            }
+            track.stations.truncate(firm);
             let Some(firm) = track.stations.last().cloned() else { return };
             let count = (way.limb.length() / (SPACING * way.limb.radii[0])).round().clamp(1.0, 64.0) as usize;
             for i in 1..count {

@@ -26,6 +26,8 @@ const LEVER: f64 = 0.5;
 /// Prior deviations: radius at the centre (share), centre from where it was (widest radius).
 const RADIUS: f64 = 0.08;
 const CENTRE: f64 = 1.0;
+/// A branch this far (radii) from the centre hides in a wider one.
+const FAR: f64 = 4.0;
 const STEPS: usize = 10;
 /// Unknowns of a limb: its third control point and its radius at the centre.
 const OWN: usize = 4;
@@ -45,6 +47,8 @@ pub struct FittedLimb {
     /// How many stations at its end toward the joint are replaced.
     pub replaced: usize,
     pub limb: Limb,
+    /// Whether nearly all of its way lies inside the other branches: no wall says where it runs.
+    pub hidden: bool,
 }
 
 /// What the fit starts from.
@@ -56,6 +60,7 @@ struct Start {
     /// Triangles at its first section.
     seeds: Vec<u32>,
     tangent: Vector3<f64>,
+    hidden: bool,
 }
 
 /// Fits the joint of `node`; `None` where a branch has no firm section on the way or the fit runs away.
@@ -96,9 +101,15 @@ pub fn fit_joint(surface: &Surface, network: &mut Network, node: usize) -> Optio
         lines: information(&approaches, &centre),
     }
     .solve()?;
-    let limbs = limbs.into_iter().zip(places);
-    let limbs =
-        limbs.map(|(limb, (track, at_end, replaced))| FittedLimb { track, at_end, replaced, limb }).collect();
+    let found = limbs.into_iter().zip(places).zip(&starts);
+    let fitted = found.map(|((limb, (track, at_end, replaced)), start)| FittedLimb {
+        track,
+        at_end,
+        replaced,
+        limb,
+        hidden: start.hidden,
+    });
+    let limbs = fitted.collect();
     Some(FittedJoint { centre, limbs })
 }
 
@@ -149,7 +160,6 @@ fn influence(headings: &[Heading], own: usize) -> f64 {
 ///
 /// `near`: how far the joint reaches, in the input's unit.
 fn firm_station(stations: &[Station], inner: bool, near: f64, centre: &Point3<f64>) -> Option<usize> {
-    const FAR: f64 = 4.0;
     let before = |s: &Station| (centre - s.point).dot(&s.tangent) > near;
     let first = if inner { stations.len() / 2 } else { 0 };
     let clean: Vec<usize> = (first..stations.len())
@@ -171,7 +181,8 @@ fn start(station: &Station, approach: &Approach, centre: &Point3<f64>) -> Option
     let doubt = approach.doubt(2.0 * length / 3.0);
     let positive = radius > 0.0 && length > 0.0;
     let limb = Limb { control, radii: [radius, radius] };
-    positive.then_some(Start { limb, line: approach.line, doubt, seeds, tangent: departure })
+    let hidden = length > FAR * radius;
+    positive.then_some(Start { limb, line: approach.line, doubt, seeds, tangent: departure, hidden })
 }
 
 /// The vertices of the wall between the limbs' first sections.
@@ -297,6 +308,9 @@ impl Fit<'_> {
             if self.balls.iter().any(in_ball) {
                 continue;
             }
+            if self.starts[number].hidden {
+                continue;
+            }
             let radius = limbs[number].radii[0];
             let foreign = foot.outside / (FOREIGN * radius);
             let share = 1.0 / (1.0 + foreign * foreign);
@@ -342,10 +356,12 @@ impl Fit<'_> {
             let across =
                 (Matrix3::identity() - along * along.transpose() * 0.9) / (start.doubt * start.doubt);
             let basis = Limb::basis(PLACE);
-            normal.add_block(at, basis[2], basis[3], &across, &off);
+            // What no wall holds does not pull at the centre: the lines do that.
+            let shared = if start.hidden { 0.0 } else { 1.0 };
+            normal.add_block(at, basis[2], shared * basis[3], &across, &off);
             let bend = limb.control[1] - limb.control[2] * 2.0 + limb.control[3].coords;
             let scale = 6.0 * radius / (length * length * BEND);
-            normal.add_block(at, -2.0, 1.0, &(Matrix3::identity() * (scale * scale)), &bend);
+            normal.add_block(at, -2.0, shared, &(Matrix3::identity() * (scale * scale)), &bend);
         }
     }
 }
