@@ -27,20 +27,35 @@ pub fn end_point(surface: &Surface, track: &Track, tip: u32) -> EndPoint {
         let radius = opening.map_or(0.0, |opening| opening.radius);
         return EndPoint { point: tip_point, radius };
     };
-    if opening.is_some() {
-        let distance = (tip_point - last.point).norm();
-        return EndPoint { point: tip_point, radius: continued_radius(track, distance) };
-    }
     let points: Vec<Point3<f64>> = track.stations.iter().map(|s| s.point).collect();
     let reach = 3.0 * last.section_radius;
     let line = CurveEnd::of(&points, reach);
     let line =
         line.unwrap_or(CurveEnd { point: last.point, tangent: *last.tangent, curvature: nalgebra::zero() });
+    if opening.is_some() {
+        let point = in_opening(&line, &tip_point, last.section_radius);
+        return EndPoint { point, radius: continued_radius(track, (point - last.point).norm()) };
+    }
     let hit = first_hit(surface, &last.point, &line.tangent);
     let near = hit.filter(|distance| *distance < 4.0 * last.section_radius);
     let to_tip = (tip_point - last.point).dot(&line.tangent).max(0.1 * last.section_radius);
     let distance = near.unwrap_or(to_tip);
     EndPoint { point: last.point + line.tangent * distance, radius: continued_radius(track, distance) }
+}
+
+/// Where a line ends in an opening: beside the centre of the rim, which a jagged cut moves off the axis; at that
+/// centre where the line does not lead there.
+fn in_opening(line: &CurveEnd, centre: &Point3<f64>, radius: f64) -> Point3<f64> {
+    /// How far a cut moves the centre, in radii.
+    const JAGGED: f64 = 0.25;
+    let mut s = (centre - line.point).dot(&line.tangent);
+    for _ in 0..3 {
+        let (point, direction) = line.at(s);
+        s += (centre - point).dot(&direction);
+    }
+    let (point, _) = line.at(s);
+    let near = s > 0.0 && (point - centre).norm() < JAGGED * radius;
+    if near { point } else { *centre }
 }
 
 /// Goes on along the middles of the level sets where a line that runs straight on would leave the lumen through
