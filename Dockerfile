@@ -1,5 +1,7 @@
 # The service in a container:
-#   docker build -t rosaline . && docker run --rm -p 8080:8080 -v rosaline:/var/lib/rosaline rosaline
+#   docker build -t rosaline .
+#   docker run --rm -v rosaline:/var/lib/rosaline rosaline keys add NAME --scope submit,read
+#   docker run --rm -p 8080:8080 -v rosaline:/var/lib/rosaline rosaline
 
 FROM rust:1.95-slim-trixie AS build
 RUN apt-get update && apt-get install --yes --no-install-recommends build-essential && rm -rf /var/lib/apt/lists/*
@@ -15,7 +17,7 @@ RUN useradd --system --uid 10001 --no-create-home --shell /usr/sbin/nologin rosa
     && install --directory --owner=rosaline --group=rosaline --mode=0700 /var/lib/rosaline
 COPY --from=build /rosaline /usr/local/bin/rosaline
 USER 10001
-# Reachable from outside of the container, which publishes the port or does not. Docker waits 10 s between
+# Without a key (or ROSALINE_INSECURE=true) it does not start. Reachable from outside of the container, which publishes the port or does not. Docker waits 10 s between
 # SIGTERM and SIGKILL: the grace time, and up to 2 s for jobs that it interrupts; raise both for long jobs.
 ENV ROSALINE_LISTEN=0.0.0.0:8080 \
     ROSALINE_DATA=/var/lib/rosaline \
