@@ -54,6 +54,7 @@ async fn serve(args: Args) -> Result<(), Failure> {
     };
     let keys = KeyRing::open(args.keys.clone().unwrap_or_else(|| args.data.join("keys.json")))?;
     check_open(address, &keys, args.insecure)?;
+    let is_open = !keys.is_closed();
     let jobs = JobService::open(settings(&args)?, Arc::new(Extraction::new(limits.mesh))).await?;
     let path = args.audit.clone().unwrap_or_else(|| args.data.join("audit.jsonl"));
     let trail = Trail::open(&path, args.audit_rotate.0).map_err(|error| {
@@ -65,6 +66,9 @@ async fn serve(args: Args) -> Result<(), Failure> {
     let app = App::new(jobs, limits, Some(keys), Some(trail))?;
     // For people and for scripts that asked for port 0; a closed stdout leaves nobody to tell.
     let _ = writeln!(std::io::stdout(), "listening on http://{address}");
+    if is_open {
+        tracing::warn!(%address, "no key is needed: whoever reaches this address may see, make and delete every job");
+    }
     tracing::info!(%address, "ready");
     http::serve(listener, app, stop, args.grace.0).await?;
     tracing::info!("stopped");
@@ -83,7 +87,6 @@ fn check_open(address: SocketAddr, keys: &KeyRing, insecure: bool) -> Result<(),
              add NAME --scope submit,read', listen on 127.0.0.1, or let everybody in with --insecure"
         )));
     }
-    tracing::warn!(%address, "no key is needed: whoever reaches this address may see, make and delete every job");
     Ok(())
 }
 

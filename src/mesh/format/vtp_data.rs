@@ -251,6 +251,10 @@ impl Decoder<'_> {
         let length = self.word(&length)?;
         let Source::Base64(text) = source else { return Err(cut()) };
         let is_padded = text[..base64_length(word).min(text.len())].contains(&b'=');
+        // A length that the text cannot hold is a lie, not a large mesh.
+        if (length / 3).saturating_mul(4) > text.len() {
+            return Err(cut());
+        }
         self.unpack(length)?;
         if is_padded {
             return Ok((rest.split(length)?.0.into_owned(), 0));
