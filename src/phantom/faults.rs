@@ -2,8 +2,6 @@
 
 use std::collections::HashMap;
 
-use nalgebra::Point3;
-
 use crate::mesh::TriangleMesh;
 
 use super::random::Random;
@@ -123,7 +121,7 @@ pub(super) fn diagonal(mesh: &TriangleMesh) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector3;
+    use nalgebra::{Point3, Vector3};
 
     use super::*;
 

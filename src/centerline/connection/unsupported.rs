@@ -63,6 +63,7 @@ mod tests {
     use super::*;
     use crate::centerline::connection::network::NetworkNode;
     use crate::centerline::connection::subsampling::Anchor;
+    use crate::centerline::laplacian_smoothing::continuation::Process;
     use crate::centerline::segmentation::track::{Station, Track};
 
     /// A line along z of length 20, clean everywhere but between 5 and `until`.

@@ -42,6 +42,7 @@ impl Approach {
     }
 
     /// A line of which no more is known than a place and a direction.
+    #[cfg(test)]
     pub fn straight(point: Point3<f64>, direction: Vector3<f64>, radius: f64) -> Self {
         Self { line: Continuation::straight(point, direction, radius), radius, bulge: false }
     }

@@ -7,6 +7,7 @@ pub mod joint_collapse;
 pub mod joint_fit;
 pub mod joints;
 pub mod limb;
+pub mod union_fit;
 
 use nalgebra::Point3;
 use rayon::prelude::*;

@@ -1,0 +1,231 @@
+//! The union of swept spheres that lies nearest to the wall around a joint: Gauss-Newton over the joint's centre
+//! and the curves of its branches, with robust weights (Geman and McClure 1987).
+
+use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3};
+
+use crate::centerline::laplacian_smoothing::continuation::Continuation;
+use crate::centerline::recentering::limb::{Foot, Limb};
+use crate::centerline::segmentation::track::Bulge;
+
+/// Deviation of the wall from the union that is nothing unusual, and beyond which it is not this joint's, in radii.
+const USUAL: f64 = 0.03;
+const FOREIGN: f64 = 0.15;
+/// Where two branches' walls meet, the crease is rounded: vertices count less that are this near to both, in radii.
+const CREASE: f64 = 0.25;
+/// Vertices near the first section say little of the way beyond: they count less below this leverage.
+const LEVER: f64 = 0.5;
+/// Prior deviations: radius at the centre (share), centre from where it was (widest radius).
+const RADIUS: f64 = 0.08;
+const CENTRE: f64 = 1.0;
+const STEPS: usize = 10;
+/// Unknowns of a limb: its third control point and its radius at the centre.
+const OWN: usize = 4;
+
+/// A branch at its last firm section.
+pub struct Start {
+    /// Its way to the centre as its line alone tells it.
+    pub limb: Limb,
+    pub line: Continuation,
+    /// Deviation of the line's continuation over two thirds of the way, in the input's unit.
+    pub doubt: f64,
+    /// Triangles at its first section.
+    pub seeds: Vec<u32>,
+    /// Whether it hides in a wider branch: no wall says where it runs.
+    pub hidden: bool,
+}
+
+impl Start {
+    /// Unit direction in which it leaves its first section.
+    pub fn tangent(&self) -> Vector3<f64> {
+        self.line.at(0.0).1
+    }
+}
+
+/// The least squares problem. Unknowns: the centre, then of each limb its third control point and its
+/// radius at the centre.
+pub struct UnionFit<'a> {
+    pub starts: &'a [Start],
+    /// Sacs: their wall is not the branches'.
+    pub balls: &'a [Bulge],
+    /// Vertices of the wall around the joint.
+    pub wall: &'a [Point3<f64>],
+    /// Where the centre was.
+    pub origin: Point3<f64>,
+    /// What the branches' lines say of the centre: matrix and right side.
+    pub lines: (Matrix3<f64>, Vector3<f64>),
+}
+
+struct Normal {
+    matrix: DMatrix<f64>,
+    right: DVector<f64>,
+    cost: f64,
+}
+
+impl UnionFit<'_> {
+    /// The centre and the branches' ways; `None` when the fit runs away. O(steps x vertices x branches).
+    pub fn solve(&self) -> Option<(Point3<f64>, Vec<Limb>)> {
+        let mut limbs: Vec<Limb> = self.starts.iter().map(|start| start.limb).collect();
+        let mut normal = self.normal(&limbs);
+        let mut damping = 1e-3;
+        for _ in 0..STEPS {
+            let mut matrix = normal.matrix.clone();
+            for i in 0..matrix.nrows() {
+                matrix[(i, i)] *= 1.0 + damping;
+            }
+            let step = matrix.cholesky()?.solve(&normal.right);
+            let moved = self.moved(&limbs, &step);
+            let after = self.normal(&moved);
+            if after.cost < normal.cost {
+                let still = normal.cost - after.cost < 1e-6 * normal.cost;
+                (limbs, normal, damping) = (moved, after, damping * 0.3);
+                if still {
+                    break;
+                }
+            } else {
+                damping *= 10.0;
+            }
+        }
+        let centre = limbs.first()?.control[3];
+        let widest = limbs.iter().map(|limb| limb.radii[0]).fold(0.0, f64::max);
+        let sound = (centre - self.origin).norm() < 2.0 * widest
+            && limbs
+                .iter()
+                .all(|limb| limb.radii[1] > 0.5 * limb.radii[0] && limb.radii[1] < 1.6 * limb.radii[0]);
+        sound.then_some((centre, limbs))
+    }
+
+    fn moved(&self, limbs: &[Limb], step: &DVector<f64>) -> Vec<Limb> {
+        let vector = |at: usize| Vector3::new(step[at], step[at + 1], step[at + 2]);
+        let mut moved = limbs.to_vec();
+        for (number, limb) in moved.iter_mut().enumerate() {
+            let at = 3 + OWN * number;
+            limb.control[3] += vector(0);
+            limb.control[2] += vector(at);
+            limb.radii[1] += step[at + 3];
+        }
+        moved
+    }
+
+    fn normal(&self, limbs: &[Limb]) -> Normal {
+        let count = 3 + OWN * limbs.len();
+        let mut normal =
+            Normal { matrix: DMatrix::zeros(count, count), right: DVector::zeros(count), cost: 0.0 };
+        self.add_wall(limbs, &mut normal);
+        self.add_priors(limbs, &mut normal);
+        normal
+    }
+
+    /// The distances of the wall's vertices from the union.
+    fn add_wall(&self, limbs: &[Limb], normal: &mut Normal) {
+        let pieces: Vec<_> = limbs.iter().map(Limb::pieces).collect();
+        for vertex in self.wall {
+            let mut feet: Vec<(usize, Foot)> = limbs
+                .iter()
+                .zip(&pieces)
+                .map(|(limb, pieces)| limb.foot(pieces, vertex))
+                .enumerate()
+                .collect();
+            feet.sort_by(|a, b| a.1.outside.total_cmp(&b.1.outside));
+            let [(number, foot), (_, second), ..] = feet[..] else { return };
+            let in_ball = |ball: &Bulge| (vertex - ball.centre).norm() - ball.radius < foot.outside;
+            if self.balls.iter().any(in_ball) {
+                continue;
+            }
+            if self.starts[number].hidden {
+                continue;
+            }
+            let radius = limbs[number].radii[0];
+            let foreign = foot.outside / (FOREIGN * radius);
+            let share = 1.0 / (1.0 + foreign * foreign);
+            let basis = Limb::basis(foot.t);
+            let trust = ((second.outside - foot.outside) / (CREASE * radius)).min(1.0)
+                * ((basis[2] + basis[3]) / LEVER).min(1.0).powi(4)
+                / (USUAL * radius).powi(2);
+            let weight = share * share * trust;
+            normal.cost += share * foot.outside * foot.outside * trust;
+            let at = 3 + OWN * number;
+            let mut row = [(0, 0.0); 7];
+            for axis in 0..3 {
+                row[axis] = (axis, -basis[3] * foot.direction[axis]);
+                row[3 + axis] = (at + axis, -basis[2] * foot.direction[axis]);
+            }
+            row[6] = (at + 3, -foot.t);
+            normal.add(&row, foot.outside, weight);
+        }
+    }
+
+    /// What is expected without the wall: evenly bent curves that continue their lines, radii that stay.
+    fn add_priors(&self, limbs: &[Limb], normal: &mut Normal) {
+        const PLACE: f64 = 2.0 / 3.0;
+        /// Deviation of the curvature at the centre, per radius.
+        const BEND: f64 = 0.25;
+        let widest = limbs.iter().map(|limb| limb.radii[0]).fold(0.0, f64::max);
+        let Some(centre) = limbs.first().map(|limb| limb.control[3]) else { return };
+        let hold = 1.0 / (CENTRE * widest).powi(2);
+        for axis in 0..3 {
+            normal.add_square(&[(axis, 1.0)], centre[axis] - self.origin[axis], hold);
+        }
+        let (lines, pull) = &self.lines;
+        let off =
+            lines.pseudo_inverse(1e-12).map_or(Vector3::zeros(), |inverse| centre.coords - inverse * pull);
+        normal.add_block(3, 0.0, 1.0, lines, &off);
+        for (number, (limb, start)) in limbs.iter().zip(self.starts).enumerate() {
+            let (at, radius) = (3 + OWN * number, limb.radii[0]);
+            let grown = limb.radii[1] - start.limb.radii[1];
+            normal.add_square(&[(at + 3, 1.0)], grown, 1.0 / (RADIUS * radius).powi(2));
+            let length = limb.length();
+            let (expected, along) = start.line.at(PLACE * length);
+            let off = limb.at(PLACE) - expected;
+            let across =
+                (Matrix3::identity() - along * along.transpose() * 0.9) / (start.doubt * start.doubt);
+            let basis = Limb::basis(PLACE);
+            // What no wall holds does not pull at the centre: the lines do that.
+            let shared = if start.hidden { 0.0 } else { 1.0 };
+            normal.add_block(at, basis[2], shared * basis[3], &across, &off);
+            let bend = limb.control[1] - limb.control[2] * 2.0 + limb.control[3].coords;
+            let scale = 6.0 * radius / (length * length * BEND);
+            normal.add_block(at, -2.0, shared, &(Matrix3::identity() * (scale * scale)), &bend);
+        }
+    }
+}
+
+impl Normal {
+    /// A residual with its derivatives by some unknowns.
+    fn add(&mut self, row: &[(usize, f64)], residual: f64, weight: f64) {
+        for &(i, a) in row {
+            self.right[i] -= weight * a * residual;
+            for &(j, b) in row {
+                self.matrix[(i, j)] += weight * a * b;
+            }
+        }
+    }
+
+    fn add_square(&mut self, row: &[(usize, f64)], residual: f64, weight: f64) {
+        self.cost += weight * residual * residual;
+        self.add(row, residual, weight);
+    }
+
+    /// A vector residual that moves with a limb's third control point (`own`) and with the centre (`shared`).
+    fn add_block(
+        &mut self,
+        at: usize,
+        own: f64,
+        shared: f64,
+        weight: &Matrix3<f64>,
+        residual: &Vector3<f64>,
+    ) {
+        self.cost += residual.dot(&(weight * residual));
+        let pull = weight * residual;
+        for i in 0..3 {
+            self.right[at + i] -= own * pull[i];
+            self.right[i] -= shared * pull[i];
+            for j in 0..3 {
+                let value = weight[(i, j)];
+                self.matrix[(at + i, at + j)] += own * own * value;
+                self.matrix[(i, j)] += shared * shared * value;
+                self.matrix[(at + i, j)] += own * shared * value;
+                self.matrix[(i, at + j)] += own * shared * value;
+            }
+        }
+    }
+}
