@@ -209,7 +209,7 @@ mod tests {
     fn lines_through_a_point_meet_there() {
         let meeting = Point3::new(1.0, 2.0, 3.0);
         let approach = |direction: Vector3<f64>| {
-            Approach::straight(meeting - direction.normalize() * 4.0, direction.normalize(), 1.0)
+            Approach::straight(meeting - direction.normalize(), direction.normalize(), 1.0)
         };
         let all = [Vector3::new(0.0, 0.0, 1.0), Vector3::new(1.0, 0.2, -0.4), Vector3::new(-1.0, 0.3, -0.6)];
         let centre = joint_centre(&all.map(approach), &Point3::new(1.5, 2.0, 2.5));
