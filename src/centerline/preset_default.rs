@@ -133,6 +133,7 @@ fn cut_planes(
     work.map(|(number, (((track, chain), &(from_tip, to_tip)), ring))| {
         control.cancel.check()?;
         track.rings = rings(surface, graph, chain);
+        leave_caps_out(&mut track.rings, from_tip, to_tip);
         track.stations = stations_of(&track.rings);
         // An opening is no dome: a stump that was cut runs straight to it.
         let leaf = from_tip.is_some() != to_tip.is_some() && !opens(chain.from) && !opens(chain.to);
@@ -167,6 +168,23 @@ fn rim_level(surface: &Surface, graph: &ReebGraph, node: u32) -> f64 {
         opening.rim.iter().map(|&v| graph.function[v as usize]).fold(f64::INFINITY, f64::min)
     };
     opening.map_or(node.level, at_rim)
+}
+
+/// Drops the level sets past the rims of openings: they shrink toward the raised centre and say nothing of the
+/// vessel.
+///
+/// `from_level` and `to_level` are the function at the tips; `None` at joints.
+fn leave_caps_out(rings: &mut Vec<LevelSet>, from_level: Option<f64>, to_level: Option<f64>) {
+    /// Fewer say nothing of it either.
+    const LEAST: usize = 3;
+    let (Some(first), Some(last)) = (rings.first(), rings.last()) else { return };
+    let (first, last) = (first.level, last.level);
+    let within =
+        |level: f64, tip: Option<f64>, other: f64| tip.is_none_or(|tip| (level - tip) * (other - tip) >= 0.0);
+    let keep = |ring: &LevelSet| within(ring.level, from_level, last) && within(ring.level, to_level, first);
+    if rings.iter().filter(|ring| keep(ring)).count() >= LEAST {
+        rings.retain(keep);
+    }
 }
 
 /// Rings close to a tip lie aslant over the cap: stations there would mislead.
