@@ -64,7 +64,7 @@ fn in_opening(line: &CurveEnd, centre: &Point3<f64>, radius: f64) -> Point3<f64>
 /// O(triangles + rings).
 pub fn follow_rings(surface: &Surface, track: &mut Track, tip: u32) {
     /// How much farther than the wall ahead the tip lies, in radii.
-    const SHORT: f64 = 1.0;
+    const SHORT: f64 = 0.8;
     /// Level sets this near to a tip lie aslant, in radii.
     const ASLANT: f64 = 1.2;
     /// How firmly a level set's middle holds the line, against a section's.
@@ -73,7 +73,7 @@ pub fn follow_rings(surface: &Surface, track: &mut Track, tip: u32) {
     let Some(last) = track.stations.last().cloned() else { return };
     let radius = last.section_radius;
     let ahead = first_hit(surface, &last.point, &last.tangent).unwrap_or(0.0);
-    if (tip - last.point).norm() < ahead + SHORT * radius {
+    if (tip - last.point).dot(&last.tangent) < ahead + SHORT * radius {
         return;
     }
     let mut before = last;
