@@ -130,11 +130,34 @@ pub fn judge_outward(wall: Wall<'_>, track: &mut Track) -> bool {
             station.point = station.target;
         }
     }
+    drop_turning(rings, stations);
     update_tangents(stations);
     if let [alone] = &mut stations[..] {
         straighten(wall.surface, rings, alone);
     }
     trusted
+}
+
+/// Drops stations that lie behind the one before, as the level sets run: in a wide stump their centres jump, and
+/// a line that turns about would march back through the whole vessel.
+fn drop_turning(rings: &[LevelSet], stations: &mut Vec<Station>) {
+    let along = |station: &Station| {
+        let (before, after) = (station.ring.saturating_sub(1), (station.ring + 1).min(rings.len() - 1));
+        rings[after].centroid - rings[before].centroid
+    };
+    let mut last: Option<Point3<f64>> = None;
+    stations.retain(|station| {
+        let ahead = last.is_none_or(|last| (station.point - last).dot(&along(station)) > 0.0);
+        if ahead {
+            last = Some(station.point);
+        }
+        ahead
+    });
+    if let [alone] = &mut stations[..]
+        && alone.tangent.dot(&along(alone)) < 0.0
+    {
+        alone.tangent = -alone.tangent;
+    }
 }
 
 /// Turns the section of a station without neighbours square to its wall: the paper's optimal cut plane.
