@@ -8,7 +8,7 @@ mod service;
 use std::path::Path;
 
 use reqwest::Method;
-use rosaline::centerline::{ParameterKind, TABLE};
+use rosaline::centerline::{POINTS, ParameterKind, TABLE};
 use rosaline::http::document;
 use serde_json::Value;
 use service::Service;
@@ -101,6 +101,27 @@ fn every_operation_says_what_it_takes_and_answers() {
     ids.sort();
     ids.dedup();
     assert_eq!(ids.len(), count, "operation ids are unique");
+}
+
+#[test]
+fn points_are_lists_of_texts_or_one() {
+    let document = document_json();
+    let query = document["paths"]["/v1/jobs"]["post"]["parameters"].as_array().unwrap().clone();
+    let form = &document["components"]["schemas"]["JobParameters"]["properties"];
+    for spec in POINTS {
+        let parameter = query.iter().find(|parameter| parameter["name"] == spec.name).unwrap();
+        assert!(parameter["description"].as_str().unwrap().starts_with(spec.doc), "{}", spec.name);
+        for schema in [&parameter["schema"], &form[spec.name]] {
+            if spec.most > 1 {
+                assert_eq!(
+                    (schema["type"].as_str(), schema["maxItems"].as_u64()),
+                    (Some("array"), Some(spec.most as u64))
+                );
+            } else {
+                assert_eq!(schema["type"], "string");
+            }
+        }
+    }
 }
 
 #[test]

@@ -9,7 +9,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use rosaline::centerline::{ParameterKind, TABLE};
+use rosaline::centerline::{POINTS, ParameterKind, TABLE};
 use rosaline::mesh::format::{Hint, Limits, read};
 use rosaline::output::{ResultDocument, read_json};
 use serde_json::Value;
@@ -76,6 +76,11 @@ fn the_documents_list_every_parameter_as_the_table_has_it() {
         let (default, paper) = (spec.default.map_or("not used".to_owned(), word), word(spec.paper));
         let row =
             format!("| `{}` | {} | {range} | {default} | {paper} | {} |", spec.name, spec.unit, spec.doc);
+        assert!(document[begin..].contains(&row), "docs/method.md lacks: {row}");
+    }
+    for spec in POINTS {
+        let most = if spec.most > 1 { format!("up to {}", spec.most) } else { "1".to_owned() };
+        let row = format!("| `{}` | {most} | {} |", spec.name, spec.doc);
         assert!(document[begin..].contains(&row), "docs/method.md lacks: {row}");
     }
 }

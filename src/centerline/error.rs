@@ -19,6 +19,10 @@ pub enum ExtractError {
     Undersampled { detail: String },
     #[error("the surface's diagonal is {diagonal:e}, out of 1e-30 to 1e30; scale the mesh")]
     OutOfScale { diagonal: f64 },
+    #[error(
+        "point {number} of {name} lies {distance} from the nearest vertex, farther than {most}; give points on the surface"
+    )]
+    OffSurface { name: &'static str, number: usize, distance: f64, most: f64 },
     #[error("the extraction was cancelled")]
     Cancelled,
 }
@@ -34,6 +38,7 @@ impl ExtractError {
             ExtractError::NotTubular { .. } => "not-tubular",
             ExtractError::Undersampled { .. } => "undersampled",
             ExtractError::OutOfScale { .. } => "out-of-scale",
+            ExtractError::OffSurface { .. } => "off-surface",
             ExtractError::Cancelled => "cancelled",
         }
     }

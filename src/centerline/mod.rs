@@ -11,6 +11,7 @@ mod error;
 mod graph;
 mod laplacian_smoothing;
 mod line_tree;
+mod orientation;
 mod own_sections;
 mod parameters;
 mod point_grid;
@@ -32,7 +33,9 @@ mod triangle_grid;
 pub use control::{CancelToken, Control, Part, Progress, Stage};
 pub use error::ExtractError;
 pub use graph::{Branch, Centerline, Extraction, Node, NodeKind, SurfaceSummary, Warning};
-pub use parameters::{ParameterError, ParameterKind, ParameterSpec, Parameters, Preset, TABLE};
+pub use parameters::{
+    POINTS, ParameterError, ParameterKind, ParameterSpec, Parameters, PointsSpec, Preset, TABLE,
+};
 pub use quality::{Centeredness, Homotopy, Quality};
 
 use crate::mesh::TriangleMesh;
@@ -43,6 +46,7 @@ use component::ComponentGraph;
 use line_tree::LineTree;
 use own_sections::own_sections;
 use quality::{Line, Measured};
+use tips::picks;
 use triangle_grid::TriangleGrid;
 
 /// A component smaller than this share of the largest one's diagonal is a speck of the segmentation.
@@ -73,7 +77,11 @@ pub fn extract(
     let mut refusal = None;
     let mut specks = 0;
     let parts = parts(&prepared.components);
-    for (index, (surface, part)) in prepared.components.iter_mut().zip(parts).enumerate() {
+    let taken = prepared.components.iter().zip(&parts).map(|(surface, part)| part.as_ref().map(|_| surface));
+    let picks = picks::place(&taken.collect::<Vec<_>>(), diagonal, parameters, &control.cancel)?;
+    let mut graphs: Vec<ComponentGraph> = Vec::new();
+    for (index, ((surface, part), picks)) in prepared.components.iter_mut().zip(parts).zip(&picks).enumerate()
+    {
         let Some(part) = part else {
             specks += 1;
             continue;
@@ -86,13 +94,17 @@ pub fn extract(
             smoothing_filter::smooth(&mut surface.mesh, &cuts, control)?;
         }
         let found = match parameters.preset() {
-            Preset::Default => preset_default::extract_component(surface, parameters, control),
-            Preset::Paper => preset_paper::extract_component(surface, diagonal, parameters, control),
+            Preset::Default => preset_default::extract_component(surface, parameters, picks, control),
+            Preset::Paper => preset_paper::extract_component(surface, diagonal, parameters, picks, control),
         };
         match found {
             Ok(mut graph) => {
+                if let Some(root) = picks.root {
+                    orientation::tell_from(&mut graph, &surface.mesh.vertices[root.vertex as usize]);
+                }
                 extraction.warnings.extend(settle_and_measure(&mut measured, index, surface, &mut graph));
-                append(&mut extraction, graph);
+                // The root's component comes first, so that the root is the first node of all.
+                graphs.insert(if picks.root.is_some() { 0 } else { graphs.len() }, graph);
             }
             Err(ExtractError::Cancelled) => return Err(ExtractError::Cancelled),
             Err(error) => {
@@ -106,6 +118,7 @@ pub fn extract(
         let detail = format!("{specks} components smaller than {SPECK} of the largest were left out");
         extraction.warnings.push(Warning { code: "specks-skipped", detail });
     }
+    graphs.into_iter().for_each(|graph| append(&mut extraction, graph));
     extraction.quality = measured.quality();
     match refusal {
         Some(error) if extraction.centerline.branches.is_empty() => Err(error),

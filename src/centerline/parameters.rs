@@ -4,6 +4,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use nalgebra::Point3;
+
 /// Which of the two ways through the same stages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Preset {
@@ -142,11 +144,40 @@ pub const TABLE: &[ParameterSpec] = &[
     },
 ];
 
-/// A preset and the values of every parameter of [`TABLE`].
+/// A parameter that is a list of points in the mesh's coordinates; both presets use it, and it is empty by default.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PointsSpec {
+    pub name: &'static str,
+    /// How many points it takes at most; 1: one point, not a list.
+    pub most: usize,
+    pub doc: &'static str,
+}
+
+/// The paper's interactive refinement (its ref. 32). `Parameters` holds their points in this order.
+pub const POINTS: &[PointsSpec] = &[
+    PointsSpec {
+        name: "include",
+        most: 1000,
+        doc: "a point whose nearest end stays, however low; where none is near, the line gets one there",
+    },
+    PointsSpec {
+        name: "exclude",
+        most: 1000,
+        doc: "a point whose nearest end, within 3 of its radii, is no end; it goes before one that is included",
+    },
+    PointsSpec {
+        name: "root",
+        most: 1,
+        doc: "a point whose nearest end is the first node: distances are taken and branches told from there",
+    },
+];
+
+/// A preset, the values of every parameter of [`TABLE`] and the points of [`POINTS`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parameters {
     preset: Preset,
     values: Vec<f64>,
+    points: Vec<Vec<Point3<f64>>>,
     /// Which ones were set although the preset has no use for them.
     idle: Vec<bool>,
 }
@@ -162,15 +193,23 @@ impl Parameters {
     pub fn of(preset: Preset) -> Self {
         // What the preset has no use for is never asked for: any value will do.
         let values = TABLE.iter().map(|spec| spec.value(preset).unwrap_or(spec.paper)).collect();
-        Self { preset, values, idle: vec![false; TABLE.len()] }
+        let points = vec![Vec::new(); POINTS.len()];
+        Self { preset, values, points, idle: vec![false; TABLE.len()] }
     }
 
     pub fn preset(&self) -> Preset {
         self.preset
     }
 
-    /// Sets a parameter by its name in [`TABLE`] from text, as a query string or a flag gives it.
+    /// Sets a parameter by its name in [`TABLE`] from text, as a query string or a flag gives it; one of [`POINTS`]
+    /// gets the point `x,y,z` more.
+    ///
+    /// # Errors
+    /// [`ParameterError`] for an unknown name, a value out of range, and a point too many.
     pub fn set(&mut self, name: &str, text: &str) -> Result<(), ParameterError> {
+        if let Some(index) = POINTS.iter().position(|spec| spec.name == name) {
+            return self.add_point(index, text);
+        }
         let index = TABLE
             .iter()
             .position(|spec| spec.name == name)
@@ -197,6 +236,33 @@ impl Parameters {
         };
         self.idle[index] = spec.value(self.preset).is_none();
         Ok(())
+    }
+
+    fn add_point(&mut self, index: usize, text: &str) -> Result<(), ParameterError> {
+        let PointsSpec { name, most, .. } = POINTS[index];
+        let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
+        let whole =
+            text.split(',').count() == 3 && numbers.len() == 3 && numbers.iter().all(|x| x.is_finite());
+        if !whole {
+            let found = text.chars().take(40).collect();
+            let expected = "x,y,z: three finite numbers in the mesh's coordinates".to_owned();
+            return Err(ParameterError::Value { name, found, expected });
+        }
+        if self.points[index].len() == most {
+            return Err(ParameterError::TooManyPoints { name, most });
+        }
+        self.points[index].push(Point3::from_slice(&numbers));
+        Ok(())
+    }
+
+    /// The points that were given, by their row of [`POINTS`]; none that is empty.
+    pub fn points(&self) -> impl Iterator<Item = (&'static PointsSpec, &[Point3<f64>])> + '_ {
+        let rows = POINTS.iter().zip(self.points.iter().map(Vec::as_slice));
+        rows.filter(|(_, points)| !points.is_empty())
+    }
+
+    fn points_of(&self, name: &str) -> &[Point3<f64>] {
+        self.points().find(|(spec, _)| spec.name == name).map_or(&[], |(_, points)| points)
     }
 
     fn all(&self) -> impl Iterator<Item = (&'static ParameterSpec, f64)> + '_ {
@@ -244,6 +310,15 @@ impl Parameters {
     pub fn smoothing(&self) -> bool {
         self.get("smoothing") != 0.0
     }
+    pub fn include(&self) -> &[Point3<f64>] {
+        self.points_of("include")
+    }
+    pub fn exclude(&self) -> &[Point3<f64>] {
+        self.points_of("exclude")
+    }
+    pub fn root(&self) -> Option<Point3<f64>> {
+        self.points_of("root").first().copied()
+    }
 }
 
 impl ParameterSpec {
@@ -273,6 +348,34 @@ pub enum ParameterError {
         "there is no parameter '{name}'; the known ones are in /openapi.yaml and in `rosaline extract --help`"
     )]
     Unknown { name: String },
+    #[error("parameter {name} has more than {most} points; give at most {most}")]
+    TooManyPoints { name: &'static str, most: usize },
     #[error("parameter {name} is '{found}'; give {expected}")]
     Value { name: &'static str, found: String, expected: String },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_are_three_finite_numbers_and_not_too_many() {
+        let mut parameters = Parameters::default();
+        assert_eq!(parameters.points().count(), 0);
+        parameters.set("include", "1,-2.5, 3e1").unwrap();
+        parameters.set("include", "0,0,0").unwrap();
+        parameters.set("root", "4,5,6").unwrap();
+        assert_eq!(parameters.include(), [Point3::new(1.0, -2.5, 30.0), Point3::origin()]);
+        assert_eq!(parameters.root(), Some(Point3::new(4.0, 5.0, 6.0)));
+        assert_eq!(parameters.exclude(), []);
+        for bad in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,nan", "1,2,inf", "1;2;3", "1,2,3,"] {
+            let error = parameters.set("exclude", bad).unwrap_err();
+            assert!(error.to_string().contains("x,y,z"), "{error}");
+        }
+        let error = parameters.set("root", "7,8,9").unwrap_err();
+        assert_eq!(error, ParameterError::TooManyPoints { name: "root", most: 1 });
+        (2..1000).for_each(|_| parameters.set("include", "1,1,1").unwrap());
+        let error = parameters.set("include", "1,1,1").unwrap_err();
+        assert!(error.to_string().contains("at most 1000"), "{error}");
+    }
 }

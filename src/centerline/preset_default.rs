@@ -12,7 +12,7 @@ use crate::centerline::component::ComponentGraph;
 use crate::centerline::connection::network::Network;
 use crate::centerline::connection::subsampling::{Anchor, settle_radii};
 use crate::centerline::connection::unsupported;
-use crate::centerline::cut_plane::bulges::{line_through, round_bulge};
+use crate::centerline::cut_plane::bulges::{at_wall, line_through, round_bulge};
 use crate::centerline::cut_plane::cross_sections::{judge_outward, recut, settle};
 use crate::centerline::cut_plane::march::{Toward, close_ring, fill_gaps, march};
 use crate::centerline::cut_plane::ownership::{Wall, owners};
@@ -25,9 +25,10 @@ use crate::centerline::recentering::joints::{joint_centre, run_to_centre};
 use crate::centerline::segmentation::level_sets::LevelSet;
 use crate::centerline::segmentation::track::{SPACING, Sight, Station, Track, rings, stations_of};
 use crate::centerline::tips::geodesic::{EdgeGraph, geodesic};
+use crate::centerline::tips::picks::{Kept, Picks, keep, root_near};
 use crate::centerline::tips::reeb::{ReebGraph, reeb_graph};
 use crate::centerline::tips::root::{Among, roots};
-use crate::centerline::tips::{Branching, Chain, chains, farthest};
+use crate::centerline::tips::{Branching, Chain, Choice, chains, farthest};
 use crate::centerline::{Control, ExtractError, Parameters, Stage};
 
 /// Rounds of centering joints and judging the walls on the way to them.
@@ -40,14 +41,16 @@ const JOINT_ROUNDS: usize = 4;
 pub fn extract_component(
     surface: &Surface,
     parameters: &Parameters,
+    picks: &Picks,
     control: &Control<'_>,
 ) -> Result<ComponentGraph, ExtractError> {
     control.report(Stage::Tips, 0.0)?;
-    let (graph, chains) = segment(surface, parameters.tip_height(), Among::AllEnds, control)?;
-    let mut network = Network::new(&graph, &chains);
+    let (graph, branching) = segment(surface, parameters.tip_height(), picks, Among::AllEnds, control)?;
+    let Branching { chains, raised, .. } = &branching;
+    let mut network = Network::new(&graph, chains);
     control.report(Stage::CutPlanes, 0.0)?;
-    let owners = owners(surface, &graph, &chains);
-    let trusted = cut_planes(surface, &graph, &chains, &owners, &mut network, control)?;
+    let owners = owners(surface, &graph, chains);
+    let trusted = cut_planes(surface, &graph, (chains, raised), &owners, &mut network, control)?;
     if network.tracks.iter().all(|track| track.stations.iter().all(|s| s.sight != Sight::Clean)) {
         let detail = "no plane cuts it in a closed section that is one vessel's own".to_owned();
         return Err(ExtractError::Undersampled { detail });
@@ -67,52 +70,70 @@ pub fn extract_component(
     control.report(Stage::Connection, 0.0)?;
     let mut result = network.connect();
     result.warnings.extend(unsupported::check(&network));
+    result.warnings.extend(branching.warning());
     refuse_blob(surface, &result)?;
     control.report(Stage::Connection, 1.0)?;
     Ok(result)
 }
 
 /// The Reeb graph of the geodesic distance from the widest end's cap, and its chains. Where several ends
-/// might be that, the one from which most ends are seen; `among` says which ends are looked at.
+/// might be that, the one from which most ends are seen; `among` says which ends are looked at. What the user picked
+/// goes before all that.
 pub(in crate::centerline) fn segment(
     surface: &Surface,
     tip_height: f64,
+    picks: &Picks,
     among: Among,
     control: &Control<'_>,
-) -> Result<(ReebGraph, Vec<Chain>), ExtractError> {
+) -> Result<(ReebGraph, Branching), ExtractError> {
     let cancel = &control.cancel;
+    let choice = Choice { keeps_root: picks.root.is_some(), ..Choice::by_height(tip_height) };
     let (mesh, corners) = (&surface.mesh, &surface.corners);
     let mut edges = EdgeGraph::new(&mesh.vertices, corners);
     edges.raise(&surface.openings);
     let anywhere = geodesic(&edges, &[0], cancel)?;
     control.report(Stage::Tips, 0.2)?;
-    let distance = geodesic(&edges, &[farthest(&anywhere.distance)], cancel)?;
+    let source = farthest(&anywhere.distance);
+    let distance = geodesic(&edges, &[source], cancel)?;
     control.report(Stage::Tips, 0.4)?;
     let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
-    let first = chains(surface, &graph, tip_height, cancel)?;
+    let first = chains(surface, &graph, &choice, cancel)?;
     control.report(Stage::Segmentation, 0.0)?;
     let mut best = None;
-    for root in roots(surface, &graph, &first, among) {
+    let candidates = match picks.root {
+        Some(pick) => vec![root_near(surface, &graph, &first, pick.vertex)],
+        None => roots(surface, &graph, &first, among),
+    };
+    for root in candidates {
         let mut edges = edges.clone();
         edges.shrink(&root.cap);
         let distance = geodesic(&edges, &[root.vertex], cancel)?;
         let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
-        let found = chains(surface, &graph, tip_height, cancel)?;
+        let found = chains(surface, &graph, &choice, cancel)?;
         control.report(Stage::Segmentation, 0.4)?;
-        let more = |(_, best): &(ReebGraph, Branching)| found.ends() > best.ends();
+        let more = |(_, best, ..): &(ReebGraph, Branching, EdgeGraph, u32)| found.ends() > best.ends();
         if best.as_ref().is_none_or(more) {
-            best = Some((graph, found));
+            best = Some((graph, found, edges, root.vertex));
         }
     }
-    let (graph, branching) = best.unwrap_or((graph, first));
-    Ok((graph, branching.chains))
+    let (graph, branching, mut edges, source) = best.unwrap_or((graph, first, edges, source));
+    if picks.include.is_empty() && picks.exclude.is_empty() {
+        return Ok((graph, branching));
+    }
+    let Kept { leaves, raised } = keep(surface, &graph, &branching, &picks.include);
+    let choice = Choice { kept: &leaves, excluded: &picks.exclude, ..choice };
+    edges.raise_vertices(&raised);
+    let distance = geodesic(&edges, &[source], cancel)?;
+    let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
+    let branching = chains(surface, &graph, &choice, cancel)?;
+    Ok((graph, Branching { raised, ..branching }))
 }
 
 /// Rings, stations and judged sections of every branch; returns which branches have a section of their own.
 fn cut_planes(
     surface: &Surface,
     graph: &ReebGraph,
-    chains: &[Chain],
+    (chains, raised): (&[Chain], &[u32]),
     owners: &[u32],
     network: &mut Network,
     control: &Control<'_>,
@@ -137,6 +158,11 @@ fn cut_planes(
         track.stations = stations_of(&track.rings);
         // An opening is no dome: a stump that was cut runs straight to it.
         let leaf = from_tip.is_some() != to_tip.is_some() && !opens(chain.from) && !opens(chain.to);
+        let tip = graph.nodes[if from_tip.is_some() { chain.from } else { chain.to } as usize].vertex;
+        if leaf && raised.contains(&tip) {
+            at_wall(surface, track, tip);
+            return Ok(true);
+        }
         if leaf && round_bulge(surface, track, from_tip.is_some()) {
             return Ok(true);
         }

@@ -21,6 +21,7 @@ use crate::centerline::thinning::point_cloud::PointCloud;
 use crate::centerline::thinning::{Thinning, thin};
 use crate::centerline::tips::critical_points::{self, Tip, vertex_areas};
 use crate::centerline::tips::geodesic::EdgeGraph;
+use crate::centerline::tips::picks::Picks;
 use crate::centerline::tips::root::Among;
 use crate::centerline::tips::xie_beni::best_count;
 use crate::centerline::{ExtractError, Parameters, laplacian_smoothing};
@@ -43,11 +44,12 @@ pub fn extract_component(
     surface: &Surface,
     diagonal: f64,
     parameters: &Parameters,
+    picks: &Picks,
     control: &Control<'_>,
 ) -> Result<ComponentGraph, ExtractError> {
     control.report(Stage::Tips, 0.0)?;
     let frame = Frame::of(&surface.mesh.vertices);
-    let mut result = extract_in_frame(&frame.seen(surface), diagonal, parameters, control)?;
+    let mut result = extract_in_frame(&frame.seen(surface), diagonal, parameters, picks, control)?;
     let back = |point: &mut Point3<f64>| *point = frame.back(point);
     result.nodes.iter_mut().for_each(|node| back(&mut node.position));
     result.branches.iter_mut().flat_map(|branch| &mut branch.points).for_each(back);
@@ -59,6 +61,7 @@ fn extract_in_frame(
     surface: &Surface,
     diagonal: f64,
     parameters: &Parameters,
+    picks: &Picks,
     control: &Control<'_>,
 ) -> Result<ComponentGraph, ExtractError> {
     let positions = &surface.mesh.vertices;
@@ -69,7 +72,8 @@ fn extract_in_frame(
     let (seeds, fields) = seeds(&graph, &tips, parameters, control)?;
     control.report(Stage::Tips, 0.5)?;
     // The way to the Reeb graph is part of this stage here.
-    let (reeb, chains) = skeleton(surface, parameters.tip_height(), Among::LongEnds, &control.quiet())?;
+    let (reeb, branching) =
+        skeleton(surface, parameters.tip_height(), picks, Among::LongEnds, &control.quiet())?;
     let segments = segment(positions, &graph, &seeds, fields, (parameters.m(), parameters.mu()), control)?;
 
     let normals = vertex_normals(&surface.mesh);
@@ -80,14 +84,23 @@ fn extract_in_frame(
     let refined = refine(&graph, &planes, parameters, control)?;
 
     let Refined { points, radii, joint } = &refined;
-    let connection = Connection { surface, reeb: &reeb, chains: &chains, points, radii, joint };
+    let connection = Connection {
+        surface,
+        reeb: &reeb,
+        chains: &branching.chains,
+        excluded: &branching.excluded,
+        points,
+        radii,
+        joint,
+    };
     let joints = Joints::new(points, joint, radii, &planes);
     let wall = Wall::new(positions, radii);
-    let result = connection.connect(
+    let mut result = connection.connect(
         |at, radius| joints.centre(at, radius),
         |at, radius| wall.distance(at, radius),
         control,
     )?;
+    result.warnings.extend(branching.warning());
     refuse_blob(surface, &result)?;
     Ok(result)
 }

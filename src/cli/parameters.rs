@@ -1,10 +1,12 @@
 //! The method's parameters as flags, made from its table.
 
-use clap::{Arg, ArgMatches, Command};
+use clap::{Arg, ArgAction, ArgMatches, Command};
 
-use crate::centerline::{ParameterError, ParameterKind, ParameterSpec, Parameters, Preset, TABLE};
+use crate::centerline::{
+    POINTS, ParameterError, ParameterKind, ParameterSpec, Parameters, PointsSpec, Preset, TABLE,
+};
 
-/// A flag for the preset and one for each row of [`TABLE`], under the paper's names.
+/// A flag for the preset and one for each row of [`TABLE`] and [`POINTS`], under the paper's names.
 #[derive(Debug, Clone, Default)]
 pub(super) struct ParameterArgs {
     preset: Option<String>,
@@ -37,6 +39,10 @@ impl clap::FromArgMatches for ParameterArgs {
         self.preset = matches.get_one::<String>("preset").cloned();
         let given = |spec: &ParameterSpec| Some((spec.name, matches.get_one::<String>(spec.name)?.clone()));
         self.values = TABLE.iter().filter_map(given).collect();
+        for spec in POINTS {
+            let points = matches.get_many::<String>(spec.name).unwrap_or_default();
+            self.values.extend(points.map(|point| (spec.name, point.clone())));
+        }
         Ok(())
     }
 }
@@ -49,7 +55,7 @@ impl clap::Args for ParameterArgs {
             .help("default: scaled to the local radius; paper: the printed constants and formulas")
             .help_heading(HEADING)
             .value_parser(Preset::NAMES);
-        command.arg(preset).args(TABLE.iter().map(flag))
+        command.arg(preset).args(TABLE.iter().map(flag)).args(POINTS.iter().map(points_flag))
     }
 
     fn augment_args_for_update(command: Command) -> Command {
@@ -67,6 +73,15 @@ fn flag(spec: &ParameterSpec) -> Arg {
             arg.value_name("BOOL").num_args(0..=1).require_equals(true).default_missing_value("true")
         }
     }
+}
+
+fn points_flag(spec: &PointsSpec) -> Arg {
+    let often = if spec.most > 1 { "; give it once a point" } else { "" };
+    let help = format!("{}, in the mesh's coordinates{often}", spec.doc);
+    let action = if spec.most > 1 { ArgAction::Append } else { ArgAction::Set };
+    let arg = Arg::new(spec.name).long(spec.name).value_name("X,Y,Z").help(help).help_heading(HEADING);
+    // A negative coordinate looks like a flag.
+    arg.action(action).allow_hyphen_values(true)
 }
 
 fn help(spec: &ParameterSpec) -> String {
@@ -117,6 +132,16 @@ mod tests {
         assert!(parameters.smoothing());
         assert_eq!(parse(&[]).unwrap().parameters().unwrap(), Parameters::default());
         assert!(!parse(&["--smoothing=false"]).unwrap().parameters().unwrap().smoothing());
+    }
+
+    #[test]
+    fn points_are_given_once_each() {
+        let args = parse(&["--include", "-1,2,3", "--include=4,5,6", "--root", "-7,-8,-9"]).unwrap();
+        let parameters = args.parameters().unwrap();
+        assert_eq!(parameters.include().len(), 2);
+        assert_eq!((parameters.include()[0].x, parameters.root().unwrap().z), (-1.0, -9.0));
+        assert!(parse(&["--root", "1,2,3", "--root", "1,2,3"]).is_err());
+        assert!(parse(&["--exclude", "1,2"]).unwrap().parameters().is_err());
     }
 
     #[test]

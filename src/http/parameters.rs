@@ -9,7 +9,7 @@ use serde_json::error::Category;
 
 use super::limits::Limits;
 use super::problem::{INVALID_PARAMETER, MALFORMED_REQUEST, Problem, UNKNOWN_PARAMETER};
-use crate::centerline::{ParameterError, ParameterKind, Parameters, Preset, TABLE};
+use crate::centerline::{POINTS, ParameterError, ParameterKind, Parameters, Preset, TABLE};
 use crate::jobs::{FileName, Priority};
 use crate::mesh::Units;
 
@@ -42,7 +42,8 @@ impl Asked {
     /// A 400 that names the parameter: unknown, given twice, or with a value that it cannot take.
     pub fn from_pairs(pairs: &[(String, String)], limits: &Limits) -> Result<Self, Problem> {
         for (place, (name, _)) in pairs.iter().enumerate() {
-            if pairs[..place].iter().any(|(other, _)| other == name) {
+            let is_list = POINTS.iter().any(|spec| spec.name == name && spec.most > 1);
+            if !is_list && pairs[..place].iter().any(|(other, _)| other == name) {
                 return Err(invalid(name, format!("{name} is given twice; give it once")));
             }
         }
@@ -55,9 +56,9 @@ impl Asked {
         for (name, text) in rows {
             parameters.set(name, text).map_err(|error| match error {
                 ParameterError::Unknown { .. } => unknown(name),
-                ParameterError::UnknownPreset { .. } | ParameterError::Value { .. } => {
-                    invalid(name, error.to_string())
-                }
+                ParameterError::UnknownPreset { .. }
+                | ParameterError::TooManyPoints { .. }
+                | ParameterError::Value { .. } => invalid(name, error.to_string()),
             })?;
         }
         let name = value(NAME).map(|name| source_name(name, limits)).transpose()?.flatten();
@@ -114,6 +115,13 @@ pub fn json_pairs(bytes: &[u8]) -> Result<Vec<(String, String)>, Problem> {
         if pairs.iter().any(|(other, _)| *other == name) {
             return Err(invalid(&name, format!("{} is given twice; give it once", shown(&name))));
         }
+        if let Some(spec) = POINTS.iter().find(|spec| spec.name == name) {
+            let texts = point_texts(value, spec.most > 1);
+            let texts =
+                texts.ok_or_else(|| wrong_type(&name, "a text x,y,z, or for many points a list of them"))?;
+            pairs.extend(texts.into_iter().map(|text| (name.clone(), text)));
+            continue;
+        }
         let kind = TABLE.iter().find(|spec| spec.name == name).map(|spec| spec.kind);
         let text = match (kind, value) {
             (Some(ParameterKind::Number { .. }), Value::Number(number)) => number.to_string(),
@@ -129,6 +137,15 @@ pub fn json_pairs(bytes: &[u8]) -> Result<Vec<(String, String)>, Problem> {
         pairs.push((name, text));
     }
     Ok(pairs)
+}
+
+/// The points of a JSON value, each as the query spells it; `None` when it is no such value.
+fn point_texts(value: Value, is_list: bool) -> Option<Vec<String>> {
+    let text = |value| if let Value::String(text) = value { Some(text) } else { None };
+    match value {
+        Value::Array(values) if is_list => values.into_iter().map(text).collect(),
+        other => Some(vec![text(other)?]),
+    }
 }
 
 /// Without folders: a browser's file name may carry the path of a client's machine. `None`: only folders.
@@ -175,7 +192,11 @@ fn wrong_type(name: &str, expected: &str) -> Problem {
 }
 
 fn unknown(name: &str) -> Problem {
-    let known: Vec<&str> = OTHERS.into_iter().chain(TABLE.iter().map(|spec| spec.name)).collect();
+    let known: Vec<&str> = OTHERS
+        .into_iter()
+        .chain(TABLE.iter().map(|spec| spec.name))
+        .chain(POINTS.iter().map(|spec| spec.name))
+        .collect();
     let detail = format!("there is no parameter '{}'; the known ones are {}", shown(name), known.join(", "));
     Problem::new(&UNKNOWN_PARAMETER, detail).with("parameter", shown(name))
 }
@@ -216,6 +237,24 @@ mod tests {
             assert_eq!(problem["type"], format!("urn:rosaline:problem:{kind}"), "{list:?}");
             assert_eq!(problem["parameter"], name);
             assert_eq!(problem["status"], 400);
+        }
+    }
+
+    #[test]
+    fn points_come_one_a_pair_or_in_a_list() {
+        let query = pairs(&[("include", "1,2,3"), ("root", "0,0,0"), ("include", "-4,5e1,6")]).unwrap();
+        assert_eq!(query.parameters.include().len(), 2);
+        let json = br#"{"include": ["1,2,3", "-4,5e1,6"], "root": "0,0,0"}"#;
+        assert_eq!(Asked::from_pairs(&json_pairs(json).unwrap(), &Limits::default()).unwrap(), query);
+        for (list, name) in [
+            (vec![("root", "0,0,0"), ("root", "1,1,1")], "root"),
+            (vec![("exclude", "1,2")], "exclude"),
+            (vec![("include", "1,2,inf")], "include"),
+        ] {
+            assert_eq!(pairs(&list).unwrap_err()["parameter"], name);
+        }
+        for bad in [&br#"{"include": [[1, 2, 3]]}"#[..], br#"{"root": ["1,2,3"]}"#, br#"{"exclude": 1}"#] {
+            assert!(json_pairs(bad).is_err());
         }
     }
 

@@ -96,6 +96,9 @@ impl fmt::Debug for FileName {
 pub struct ParameterValues {
     pub preset: String,
     pub values: BTreeMap<String, f64>,
+    /// Points by the name of their parameter; none that is empty.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub points: BTreeMap<String, Vec<[f64; 3]>>,
 }
 
 impl From<&Parameters> for ParameterValues {
@@ -105,6 +108,12 @@ impl From<&Parameters> for ParameterValues {
         Self {
             preset: parameters.preset().name().to_owned(),
             values: values.map(|(spec, value)| (spec.name.to_owned(), value)).collect(),
+            points: parameters
+                .points()
+                .map(|(spec, points)| {
+                    (spec.name.to_owned(), points.iter().map(|&point| point.into()).collect())
+                })
+                .collect(),
         }
     }
 }
@@ -122,6 +131,11 @@ impl TryFrom<&ParameterValues> for Parameters {
                 _ => value.to_string(),
             };
             parameters.set(name, &text)?;
+        }
+        for (name, points) in &stored.points {
+            for [x, y, z] in points {
+                parameters.set(name, &format!("{x},{y},{z}"))?;
+            }
         }
         Ok(parameters)
     }
@@ -346,6 +360,11 @@ mod tests {
         let mut parameters = Parameters::of(Preset::Paper);
         parameters.set("omega", "0.8000000000000003").unwrap();
         parameters.set("smoothing", "true").unwrap();
+        for (name, point) in
+            [("include", "0.1,-2e-7,3"), ("include", "1,2,3"), ("root", "4.000000000000001,5,6")]
+        {
+            parameters.set(name, point).unwrap();
+        }
         let json = serde_json::to_string(&ParameterValues::from(&parameters)).unwrap();
         let stored: ParameterValues = serde_json::from_str(&json).unwrap();
         assert_eq!(Parameters::try_from(&stored), Ok(parameters));

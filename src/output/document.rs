@@ -66,7 +66,7 @@ pub struct MethodRecord {
     /// `default` or `paper`; `phantom` for the known centerline of a made surface.
     #[schema(example = "default")]
     pub preset: String,
-    /// Every parameter that the preset uses, with the value it had.
+    /// Every parameter that the preset uses, with the value it had; points where any were given.
     pub parameters: BTreeMap<String, ParameterValue>,
     /// Version of Rosaline.
     #[schema(example = "0.1.0")]
@@ -74,11 +74,13 @@ pub struct MethodRecord {
 }
 
 /// The value of a parameter.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(untagged)]
 pub enum ParameterValue {
     Flag(bool),
     Number(f64),
+    /// Points in the mesh's coordinates, for the parameters that name places.
+    Points(Vec<[f64; 3]>),
 }
 
 /// An end or a junction.
@@ -160,6 +162,7 @@ impl ResultDocument {
             parameters: parameters
                 .iter()
                 .map(|(spec, value)| (spec.name.to_owned(), parameter_value(spec.kind, value)))
+                .chain(parameters.points().map(|(spec, points)| (spec.name.to_owned(), points.into())))
                 .collect(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
         };
@@ -218,6 +221,12 @@ impl ResultDocument {
         let branches: Result<Vec<_>, _> =
             self.branches.iter().map(|record| branch(record, self.nodes.len())).collect();
         Ok(Centerline { nodes: nodes.collect(), branches: branches? })
+    }
+}
+
+impl From<&[Point3<f64>]> for ParameterValue {
+    fn from(points: &[Point3<f64>]) -> Self {
+        Self::Points(points.iter().map(|&point| point.into()).collect())
     }
 }
 

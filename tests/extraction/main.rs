@@ -6,5 +6,6 @@ mod closed_forms;
 mod defects;
 mod invariance;
 mod lines;
+mod picks;
 mod properties;
 mod surfaces;

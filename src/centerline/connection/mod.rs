@@ -29,6 +29,8 @@ const BAND: f64 = 0.5;
 /// The line is led from the last sample this far (local radii) before a cap on to the cap: nearer, cut planes
 /// run along the axis and say nothing.
 const CAP_REACH: f64 = 1.0;
+/// Samples nearer than this (local radii) to the mouth of an excluded branch are drawn into it.
+const MOUTH_REACH: f64 = 1.5;
 /// Samples closer than this (local radii) to the one before say nothing more.
 const CROWD: f64 = 0.2;
 /// A gap wider than this (local radii) between samples is filled where the line has points.
@@ -39,6 +41,8 @@ pub struct Connection<'a> {
     pub surface: &'a Surface,
     pub reeb: &'a ReebGraph,
     pub chains: &'a [Chain],
+    /// Reeb arcs of ends that are not wanted: the line is not to be led there.
+    pub excluded: &'a [u32],
     /// Centerline point of each vertex, re-centered, in the input's frame.
     pub points: &'a [Point3<f64>],
     /// Local radius at each vertex.
@@ -129,10 +133,14 @@ impl Connection<'_> {
         (all, base)
     }
 
-    /// The points of the branches alone, to be searched.
+    /// The points of the branches alone that are wanted, to be searched.
     fn branch_points(&self) -> PointGrid {
-        let points = self.points.iter().zip(self.joint);
-        let of_branches = points.filter(|(_, joint)| !**joint).map(|(point, _)| *point).collect();
+        let mut left_out = self.joint.to_vec();
+        for &arc in self.excluded {
+            self.reeb.arcs[arc as usize].vertices.iter().for_each(|&v| left_out[v as usize] = true);
+        }
+        let points = self.points.iter().zip(left_out);
+        let of_branches = points.filter(|(_, left_out)| !left_out).map(|(point, _)| *point).collect();
         let mut radii = self.radii.to_vec();
         radii.sort_by(f64::total_cmp);
         PointGrid::new(of_branches, radii.get(radii.len() / 2).copied().unwrap_or(1.0))
@@ -146,14 +154,35 @@ impl Connection<'_> {
         if samples.len() < 3 {
             samples = self.samples(&vertices, |_| true);
         }
+        let mouths = self.mouths(chain);
         let clear = |sample: &&Sample| {
             let reach = (CAP_REACH * sample.radius).min(whole / 3.0);
-            (!ends[0] || sample.along > reach) && (!ends[1] || whole - sample.along > reach)
+            let beside = |mouth: &f64| (sample.along - mouth).abs() < MOUTH_REACH * sample.radius;
+            (!ends[0] || sample.along > reach)
+                && (!ends[1] || whole - sample.along > reach)
+                && !mouths.iter().any(beside)
         };
         let clear: Vec<Sample> = samples.iter().filter(clear).copied().collect();
         let mut samples = if clear.is_empty() { samples } else { clear };
         samples.dedup_by(|b, a| (b.point - a.point).norm() < CROWD * a.radius);
         samples
+    }
+
+    /// The geodesic ways from the start of a chain at which excluded branches leave it.
+    fn mouths(&self, chain: &Chain) -> Vec<f64> {
+        let leaves = |node: u32| {
+            let ends = self.excluded.iter().map(|&arc| &self.reeb.arcs[arc as usize]);
+            ends.flat_map(|arc| [arc.lower, arc.upper]).any(|end| end == node)
+        };
+        let mut way = 0.0;
+        let mut found = Vec::new();
+        for &(index, upward) in &chain.arcs {
+            let arc = &self.reeb.arcs[index as usize];
+            let [low, high] = [arc.lower, arc.upper].map(|node| self.reeb.nodes[node as usize].level);
+            way += high - low;
+            found.extend(leaves(if upward { arc.upper } else { arc.lower }).then_some(way));
+        }
+        found
     }
 
     fn samples(&self, vertices: &[(f64, u32)], counts: impl Fn(u32) -> bool) -> Vec<Sample> {

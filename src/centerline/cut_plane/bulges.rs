@@ -40,6 +40,24 @@ pub fn round_bulge(surface: &Surface, track: &mut Track, tip_first: bool) -> boo
     true
 }
 
+/// Makes a track a small ball that touches the wall at its tip: an end that was asked for on the side of a vessel has
+/// no sections, its line runs straight from the joint to the wall.
+pub fn at_wall(surface: &Surface, track: &mut Track, tip: u32) {
+    let place = surface.mesh.vertices[tip as usize];
+    let spokes: Vec<Vector3<f64>> =
+        surface.corners.neighbours(tip).map(|v| surface.mesh.vertices[v as usize] - place).collect();
+    let radius = spokes.iter().map(Vector3::norm).sum::<f64>() / spokes.len().max(1) as f64;
+    let normal: Vector3<f64> = surface
+        .corners
+        .star(tip)
+        .map(|h| surface.mesh.triangles[(h / 3) as usize].map(|v| surface.mesh.vertices[v as usize]))
+        .map(|[a, b, c]| (b - a).cross(&(c - a)))
+        .sum();
+    let inward = -normal.try_normalize(0.0).unwrap_or_else(Vector3::zeros);
+    track.bulge = Some(Bulge { centre: place + inward * radius, radius });
+    track.stations.clear();
+}
+
 /// Stations of a bulge, straight from its joint to `end`; in reverse where the joint is the track's end.
 ///
 /// The radius of each is its distance from the nearest vertex. O(stations x vertices).

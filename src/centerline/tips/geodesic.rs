@@ -61,13 +61,27 @@ impl EdgeGraph {
     /// however shortly it was cut.
     pub fn raise(&mut self, openings: &[Opening]) {
         for opening in openings {
-            let rise = (4.0 * opening.radius) as f32;
-            for &v in opening.rim.iter().chain([&opening.centre]) {
-                let row = self.start[v as usize] as usize..self.start[v as usize + 1] as usize;
-                for link in &mut self.links[row] {
-                    if v == opening.centre || link.0 == opening.centre {
-                        link.1 += rise;
-                    }
+            self.raise_vertex(opening.centre, 4.0 * opening.radius);
+        }
+    }
+
+    /// Makes each vertex a tip, four of its edges high.
+    pub fn raise_vertices(&mut self, vertices: &[u32]) {
+        for &v in vertices {
+            let links = self.neighbours(v);
+            let sum: f64 = links.iter().map(|&(_, length)| f64::from(length)).sum();
+            self.raise_vertex(v, 4.0 * sum / links.len().max(1) as f64);
+        }
+    }
+
+    /// Lengthens the edges at a vertex by `rise`.
+    fn raise_vertex(&mut self, vertex: u32, rise: f64) {
+        let around: Vec<u32> = self.neighbours(vertex).iter().map(|&(u, _)| u).collect();
+        for v in around.into_iter().chain([vertex]) {
+            let row = self.start[v as usize] as usize..self.start[v as usize + 1] as usize;
+            for link in &mut self.links[row] {
+                if v == vertex || link.0 == vertex {
+                    link.1 += rise as f32;
                 }
             }
         }

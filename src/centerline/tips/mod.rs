@@ -8,6 +8,7 @@
 pub mod critical_points;
 pub mod geodesic;
 mod height;
+pub mod picks;
 pub mod reeb;
 pub mod root;
 pub mod xie_beni;
@@ -20,8 +21,9 @@ use nalgebra::Point3;
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::segmentation::level_sets::LevelSet;
+use crate::centerline::tips::picks::Pick;
 use crate::centerline::tips::reeb::ReebGraph;
-use crate::centerline::{CancelToken, ExtractError};
+use crate::centerline::{CancelToken, ExtractError, Warning};
 
 const NONE: u32 = u32::MAX;
 
@@ -43,9 +45,46 @@ pub struct Branching {
     /// Leaves that were removed although they rise a good part of their base's radius: a front that
     /// passed them aslant may have hidden an end.
     pub doubtful: Vec<DoubtfulTip>,
+    /// Reeb arcs of the ends that were excluded.
+    pub excluded: Vec<u32>,
+    /// Numbers of the excluded points that no end is near to.
+    pub idle: Vec<usize>,
+    /// Vertices of the ends that a peak was raised for.
+    pub raised: Vec<u32>,
+}
+
+/// Which leaves are tips.
+#[derive(Debug, Clone, Copy)]
+pub struct Choice<'a> {
+    /// Least height, in radii of the base.
+    pub tip_height: f64,
+    /// Vertices of leaves that stay whatever their height.
+    pub kept: &'a [u32],
+    pub excluded: &'a [Pick],
+    /// Whether the root stays an end on a surface without other ends.
+    pub keeps_root: bool,
+}
+
+impl Choice<'_> {
+    /// By height alone.
+    pub fn by_height(tip_height: f64) -> Self {
+        Self { tip_height, kept: &[], excluded: &[], keeps_root: false }
+    }
 }
 
 impl Branching {
+    /// A warning where an excluded point is near no end.
+    pub fn warning(&self) -> Option<Warning> {
+        let numbers: Vec<String> = self.idle.iter().map(usize::to_string).collect();
+        (!numbers.is_empty()).then(|| Warning {
+            code: "nothing-excluded",
+            detail: format!(
+                "no end that could go lies within 3 of its radii of point {} of exclude",
+                numbers.join(", ")
+            ),
+        })
+    }
+
     /// How many ends the chains have.
     pub fn ends(&self) -> usize {
         let mut nodes: Vec<u32> = self.chains.iter().flat_map(|chain| [chain.from, chain.to]).collect();
@@ -74,15 +113,15 @@ struct Pruning<'a> {
     at_node: Vec<Vec<u32>>,
 }
 
-/// Removes the leaves lower than `tip_height` times their base radius, lowest first; what remains are
-/// chains between ends and junctions. O(leaves log leaves + level sets measured).
+/// Removes the leaves lower than `tip_height` times their base radius, lowest first, and what is excluded; what
+/// remains are chains between ends and junctions. O(leaves log leaves + level sets measured).
 ///
 /// # Errors
 /// [`ExtractError::Cancelled`].
 pub fn chains(
     surface: &Surface,
     graph: &ReebGraph,
-    tip_height: f64,
+    choice: &Choice<'_>,
     cancel: &CancelToken,
 ) -> Result<Branching, ExtractError> {
     let mut at_node = vec![Vec::new(); graph.nodes.len()];
@@ -92,9 +131,12 @@ pub fn chains(
     }
     let alive = vec![true; graph.arcs.len()];
     let mut pruning = Pruning { surface, graph, alive, doubtful: Vec::new(), at_node };
-    pruning.prune_leaves(tip_height, cancel)?;
-    pruning.prune_root(tip_height);
-    Ok(Branching { chains: pruning.chains(), doubtful: pruning.doubtful })
+    pruning.prune_leaves(choice, cancel)?;
+    if !choice.keeps_root && !choice.kept.contains(&graph.nodes[0].vertex) {
+        pruning.prune_root(choice.tip_height);
+    }
+    let (excluded, idle) = pruning.exclude(choice.excluded);
+    Ok(Branching { chains: pruning.chains(), doubtful: pruning.doubtful, excluded, idle, raised: Vec::new() })
 }
 
 impl Pruning<'_> {
@@ -125,7 +167,7 @@ impl Pruning<'_> {
         }
     }
 
-    fn prune_leaves(&mut self, tip_height: f64, cancel: &CancelToken) -> Result<(), ExtractError> {
+    fn prune_leaves(&mut self, choice: &Choice<'_>, cancel: &CancelToken) -> Result<(), ExtractError> {
         let mut queue = BinaryHeap::new();
         for (index, arc) in self.graph.arcs.iter().enumerate() {
             let is_leaf = self.at_node[arc.upper as usize].len() == 1;
@@ -151,7 +193,8 @@ impl Pruning<'_> {
                 queue.push(Reverse((height.to_bits(), index)));
                 continue;
             }
-            if !self.stands_out(&arcs, base, leaf, height, tip_height) {
+            let kept = choice.kept.contains(&self.graph.nodes[leaf as usize].vertex);
+            if !kept && !self.stands_out(&arcs, base, leaf, height, choice.tip_height) {
                 arcs.iter().for_each(|&arc| self.alive[arc as usize] = false);
                 self.doubt(&arcs, leaf, height);
             }
@@ -267,7 +310,7 @@ mod tests {
         let graph = reeb_graph(&surface.mesh.vertices, &surface.corners, distance, &cancel).unwrap();
         let loops = graph.arcs.len() as i64 - graph.nodes.len() as i64 + 1;
         assert_eq!(loops, surface.genus() as i64);
-        (chains(surface, &graph, 1.0, &cancel).unwrap().chains, loops)
+        (chains(surface, &graph, &Choice::by_height(1.0), &cancel).unwrap().chains, loops)
     }
 
     #[test]

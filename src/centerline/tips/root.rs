@@ -65,6 +65,23 @@ pub fn roots(surface: &Surface, graph: &ReebGraph, branching: &Branching, among:
     candidates.take(most).map(|end| Root { vertex: end.vertex, cap: cap_around(surface, end) }).collect()
 }
 
+/// Vertex and radius of the ends of chains.
+pub fn ends_of(surface: &Surface, graph: &ReebGraph, chains: &[Chain]) -> Vec<(u32, f64)> {
+    chain_ends(surface, graph, chains).iter().map(|end| (end.vertex, end.radius)).collect()
+}
+
+impl Root {
+    /// The end nearest to a vertex; `None` where there is none.
+    pub fn nearest(surface: &Surface, graph: &ReebGraph, branching: &Branching, vertex: u32) -> Option<Self> {
+        let away = |end: &End| {
+            (surface.mesh.vertices[end.vertex as usize] - surface.mesh.vertices[vertex as usize]).norm()
+        };
+        let ends = chain_ends(surface, graph, &branching.chains);
+        let nearest = ends.iter().min_by(|a, b| away(a).total_cmp(&away(b)))?;
+        Some(Self { vertex: nearest.vertex, cap: cap_around(surface, nearest) })
+    }
+}
+
 /// The ends of all chains.
 fn chain_ends(surface: &Surface, graph: &ReebGraph, chains: &[Chain]) -> Vec<End> {
     let mut degree = vec![0usize; graph.nodes.len()];

@@ -9,7 +9,8 @@ use utoipa::openapi::schema::{
 use utoipa::openapi::{Content, ContentBuilder, Ref, Required};
 
 use super::super::upload::{FORM_TYPE, MESH_TYPES};
-use super::parameters::job_parameters;
+use super::parameters::{job_parameters, points_schema};
+use crate::centerline::POINTS;
 
 /// The schema of a form's part `parameters`.
 pub const PARAMETERS: &str = "JobParameters";
@@ -61,6 +62,9 @@ pub fn parameters_schema() -> Schema {
         .examples([json!({"units": "mm", "preset": "default", "omega": 0.75})]);
     for (name, schema) in job_parameters() {
         object = object.property(name, schema);
+    }
+    for spec in POINTS {
+        object = object.property(spec.name, points_schema(spec));
     }
     Schema::Object(object.build())
 }

@@ -3,14 +3,14 @@
 use serde_json::{Value, json};
 use utoipa::IntoParams;
 use utoipa::openapi::Required;
-use utoipa::openapi::path::{Parameter, ParameterBuilder, ParameterIn};
-use utoipa::openapi::schema::{KnownFormat, Object, ObjectBuilder, SchemaFormat, Type};
+use utoipa::openapi::path::{Parameter, ParameterBuilder, ParameterIn, ParameterStyle};
+use utoipa::openapi::schema::{ArrayBuilder, KnownFormat, Object, ObjectBuilder, Schema, SchemaFormat, Type};
 
 use super::super::idempotency::{IDEMPOTENCY_KEY, KEY_PATTERN};
 use super::super::limits::Limits;
 use super::super::parameters::{CLIENT_REFERENCE, DRY_RUN, NAME, PRESET, PRIORITY, UNITS};
 use super::super::prefer::PREFER;
-use crate::centerline::{ParameterKind, ParameterSpec, Preset, TABLE};
+use crate::centerline::{POINTS, ParameterKind, ParameterSpec, PointsSpec, Preset, TABLE};
 use crate::jobs::{JobStatus, Priority};
 use crate::mesh::Units;
 use crate::output::OutputFormat;
@@ -33,7 +33,11 @@ parameters! {
     /// The id in a job's path.
     JobPath => vec![job_id()];
     /// What a submission takes in its query.
-    SubmitQuery => job_parameters().into_iter().map(|(name, schema)| query(&name, schema)).collect();
+    SubmitQuery => job_parameters()
+        .into_iter()
+        .map(|(name, schema)| query(&name, schema))
+        .chain(POINTS.iter().map(points_query))
+        .collect();
     /// Filters and paging of the list.
     ListParameters => list();
     /// By which a client finds its request again.
@@ -152,6 +156,34 @@ pub fn job_parameters() -> Vec<(String, Object)> {
     ));
     list.extend(TABLE.iter().map(|spec| (spec.name.to_owned(), row(spec))));
     list
+}
+
+/// A parameter of points: one as a text, many as a list of texts.
+pub fn points_schema(spec: &PointsSpec) -> Schema {
+    /// A finite number, as JSON and many languages write it, three times.
+    const POINT: &str = "^ *[-+]?[0-9.]+([eE][-+]?[0-9]+)?( *, *[-+]?[0-9.]+([eE][-+]?[0-9]+)?){2} *$";
+    let description = Some(format!("{}. As x,y,z in the mesh's coordinates", spec.doc));
+    let point =
+        ObjectBuilder::new().schema_type(Type::String).pattern(Some(POINT)).examples([json!("1.5,-20,3e1")]);
+    if spec.most == 1 {
+        return Schema::Object(point.description(description).build());
+    }
+    Schema::Array(
+        ArrayBuilder::new().items(point).max_items(Some(spec.most)).description(description).build(),
+    )
+}
+
+/// The same in the query, where a list is the name given more than once.
+fn points_query(spec: &PointsSpec) -> Parameter {
+    ParameterBuilder::new()
+        .name(spec.name)
+        .parameter_in(ParameterIn::Query)
+        .required(Required::False)
+        .description(Some(format!("{}. As x,y,z in the mesh's coordinates", spec.doc)))
+        .style(Some(ParameterStyle::Form))
+        .explode(Some(true))
+        .schema(Some(points_schema(spec)))
+        .build()
 }
 
 /// A row of the method's table.
