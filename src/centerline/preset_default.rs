@@ -24,11 +24,11 @@ use crate::centerline::recentering::joint_fit::{FittedJoint, fit_joint};
 use crate::centerline::recentering::joints::{joint_centre, run_to_centre};
 use crate::centerline::segmentation::level_sets::LevelSet;
 use crate::centerline::segmentation::track::{SPACING, Sight, Station, Track, rings, stations_of};
-use crate::centerline::tips::geodesic::{EdgeGraph, geodesic};
-use crate::centerline::tips::picks::{Kept, Picks, keep, root_near};
-use crate::centerline::tips::reeb::{ReebGraph, reeb_graph};
-use crate::centerline::tips::root::{Among, roots};
-use crate::centerline::tips::{Branching, Chain, Choice, chains, farthest};
+use crate::centerline::tips::picks::Picks;
+use crate::centerline::tips::reeb::ReebGraph;
+use crate::centerline::tips::root::Among;
+use crate::centerline::tips::skeleton::skeleton;
+use crate::centerline::tips::{Branching, Chain};
 use crate::centerline::{Control, ExtractError, Parameters, Stage};
 
 /// Rounds of centering joints and judging the walls on the way to them.
@@ -45,7 +45,7 @@ pub fn extract_component(
     control: &Control<'_>,
 ) -> Result<ComponentGraph, ExtractError> {
     control.report(Stage::Tips, 0.0)?;
-    let (graph, branching) = segment(surface, parameters.tip_height(), picks, Among::AllEnds, control)?;
+    let (graph, branching) = skeleton(surface, parameters.tip_height(), picks, Among::AllEnds, control)?;
     let Branching { chains, raised, .. } = &branching;
     let mut network = Network::new(&graph, chains);
     control.report(Stage::CutPlanes, 0.0)?;
@@ -74,59 +74,6 @@ pub fn extract_component(
     refuse_blob(surface, &result)?;
     control.report(Stage::Connection, 1.0)?;
     Ok(result)
-}
-
-/// The Reeb graph of the geodesic distance from the widest end's cap, and its chains. Where several ends
-/// might be that, the one from which most ends are seen; `among` says which ends are looked at. What the user picked
-/// goes before all that.
-pub(in crate::centerline) fn segment(
-    surface: &Surface,
-    tip_height: f64,
-    picks: &Picks,
-    among: Among,
-    control: &Control<'_>,
-) -> Result<(ReebGraph, Branching), ExtractError> {
-    let cancel = &control.cancel;
-    let choice = Choice { keeps_root: picks.root.is_some(), ..Choice::by_height(tip_height) };
-    let (mesh, corners) = (&surface.mesh, &surface.corners);
-    let mut edges = EdgeGraph::new(&mesh.vertices, corners);
-    edges.raise(&surface.openings);
-    let anywhere = geodesic(&edges, &[0], cancel)?;
-    control.report(Stage::Tips, 0.2)?;
-    let source = farthest(&anywhere.distance);
-    let distance = geodesic(&edges, &[source], cancel)?;
-    control.report(Stage::Tips, 0.4)?;
-    let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
-    let first = chains(surface, &graph, &choice, cancel)?;
-    control.report(Stage::Segmentation, 0.0)?;
-    let mut best = None;
-    let candidates = match picks.root {
-        Some(pick) => vec![root_near(surface, &graph, &first, pick.vertex)],
-        None => roots(surface, &graph, &first, among),
-    };
-    for root in candidates {
-        let mut edges = edges.clone();
-        edges.shrink(&root.cap);
-        let distance = geodesic(&edges, &[root.vertex], cancel)?;
-        let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
-        let found = chains(surface, &graph, &choice, cancel)?;
-        control.report(Stage::Segmentation, 0.4)?;
-        let more = |(_, best, ..): &(ReebGraph, Branching, EdgeGraph, u32)| found.ends() > best.ends();
-        if best.as_ref().is_none_or(more) {
-            best = Some((graph, found, edges, root.vertex));
-        }
-    }
-    let (graph, branching, mut edges, source) = best.unwrap_or((graph, first, edges, source));
-    if picks.include.is_empty() && picks.exclude.is_empty() {
-        return Ok((graph, branching));
-    }
-    let Kept { leaves, raised } = keep(surface, &graph, &branching, &picks.include);
-    let choice = Choice { kept: &leaves, excluded: &picks.exclude, ..choice };
-    edges.raise_vertices(&raised);
-    let distance = geodesic(&edges, &[source], cancel)?;
-    let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
-    let branching = chains(surface, &graph, &choice, cancel)?;
-    Ok((graph, Branching { raised, ..branching }))
 }
 
 /// Rings, stations and judged sections of every branch; returns which branches have a section of their own.

@@ -12,7 +12,7 @@ use crate::centerline::control::{Control, Stage};
 use crate::centerline::cut_plane::normal_lines::NormalLines;
 use crate::centerline::cut_plane::{CenterlinePoint, OrientedVertices, centerline_points, gradients};
 use crate::centerline::point_grid::PointGrid;
-use crate::centerline::preset_default::{refuse_blob, segment as skeleton};
+use crate::centerline::preset_default::refuse_blob;
 use crate::centerline::recentering::joint_collapse::Joints;
 use crate::centerline::recentering::recenter;
 use crate::centerline::segmentation::{DistanceField, distance_fields, segment};
@@ -23,6 +23,7 @@ use crate::centerline::tips::critical_points::{self, Tip, vertex_areas};
 use crate::centerline::tips::geodesic::EdgeGraph;
 use crate::centerline::tips::picks::Picks;
 use crate::centerline::tips::root::Among;
+use crate::centerline::tips::skeleton::skeleton;
 use crate::centerline::tips::xie_beni::best_count;
 use crate::centerline::{ExtractError, Parameters, laplacian_smoothing};
 

@@ -11,6 +11,7 @@ mod height;
 pub mod picks;
 pub mod reeb;
 pub mod root;
+pub mod skeleton;
 pub mod xie_beni;
 
 use std::cmp::Reverse;
