@@ -24,6 +24,7 @@ mod id;
 mod live;
 mod model;
 mod panics;
+mod parameters;
 mod priority;
 mod recovery;
 mod removal;
@@ -44,10 +45,11 @@ pub use folder::{DataFolder, FolderError};
 pub use id::{IdSource, JobId, ParseJobIdError};
 pub use live::JobStage;
 pub use model::{
-    Counts, FileName, FormatHint, Idempotency, Job, JobSpec, JobStatus, Lease, Load, Origin, ParameterValues,
-    StoredArtifact, StoredInput, UnknownStatus,
+    Counts, FileName, FormatHint, Idempotency, Job, JobSpec, JobStatus, Lease, Load, Origin, StoredArtifact,
+    StoredInput, UnknownStatus,
 };
 pub use panics::log_panics_without_text;
+pub use parameters::ParameterValues;
 pub use priority::{Priority, UnknownPriority};
 pub use removal::Removed;
 pub use retention::Retention;

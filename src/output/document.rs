@@ -6,9 +6,10 @@ use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::centerline::{Branch, Centerline, Extraction, Node, NodeKind, ParameterKind, Parameters};
+use crate::centerline::{Branch, Centerline, Extraction, Node, NodeKind, Parameters};
 use crate::mesh::Units;
 
+use super::parameters::{ParameterValue, parameter_value};
 use super::schemas::{name_schema, points_schema, position_schema, units_schema};
 use super::{OutputError, QualityRecord};
 
@@ -71,16 +72,6 @@ pub struct MethodRecord {
     /// Version of Rosaline.
     #[schema(example = "0.1.0")]
     pub version: String,
-}
-
-/// The value of a parameter.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(untagged)]
-pub enum ParameterValue {
-    Flag(bool),
-    Number(f64),
-    /// Points in the mesh's coordinates, for the parameters that name places.
-    Points(Vec<[f64; 3]>),
 }
 
 /// An end or a junction.
@@ -221,19 +212,6 @@ impl ResultDocument {
         let branches: Result<Vec<_>, _> =
             self.branches.iter().map(|record| branch(record, self.nodes.len())).collect();
         Ok(Centerline { nodes: nodes.collect(), branches: branches? })
-    }
-}
-
-impl From<&[Point3<f64>]> for ParameterValue {
-    fn from(points: &[Point3<f64>]) -> Self {
-        Self::Points(points.iter().map(|&point| point.into()).collect())
-    }
-}
-
-fn parameter_value(kind: ParameterKind, value: f64) -> ParameterValue {
-    match kind {
-        ParameterKind::Flag => ParameterValue::Flag(value != 0.0),
-        ParameterKind::Number { .. } => ParameterValue::Number(value),
     }
 }
 

@@ -7,15 +7,17 @@
 mod document;
 mod gltf;
 mod json;
+mod parameters;
 mod quality;
 mod schemas;
 
 pub use document::{
-    BranchRecord, KindRecord, MethodRecord, NodeRecord, ParameterValue, ResultDocument, SCHEMA, Source,
-    SourceRecord, WarningRecord,
+    BranchRecord, KindRecord, MethodRecord, NodeRecord, ResultDocument, SCHEMA, Source, SourceRecord,
+    WarningRecord,
 };
 pub use gltf::{write_glb, write_gltf};
 pub use json::{read_json, write_json};
+pub use parameters::ParameterValue;
 pub use quality::{CenterednessRecord, HomotopyRecord, QualityRecord};
 
 /// The formats a result is served in.
