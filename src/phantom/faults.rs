@@ -2,6 +2,8 @@
 
 use std::collections::HashMap;
 
+use nalgebra::Point3;
+
 use crate::mesh::TriangleMesh;
 
 use super::random::Random;
@@ -25,18 +27,15 @@ pub(super) fn reaches(mesh: &TriangleMesh, cut: &Cut, voxel: f64) -> bool {
     })
 }
 
-/// Removes the cap of a cut: the triangles whose middle lies past a third of a voxel behind its plane, and
-/// what would hang on the rim by a corner.
+/// Removes the cap of a cut: whatever reaches past half a voxel behind its plane, and what would hang on
+/// the rim by a corner.
 pub(super) fn open(mesh: &mut TriangleMesh, cut: &Cut, voxel: f64) {
-    const BEHIND: f64 = 0.35;
-    let is_cap = |triangle: &[u32; 3]| {
-        let [a, b, c] = triangle.map(|vertex| mesh.vertices[vertex as usize].coords);
-        let away = (a + b + c) / 3.0 - cut.point.coords;
+    const BEHIND: f64 = 0.5;
+    let gone = |vertex: &Point3<f64>| {
+        let away = vertex - cut.point;
         cut.normal.dot(&away) > -BEHIND * voxel && away.norm() < 1.5 * cut.radius + voxel
     };
-    let kept = mesh.triangles.iter().filter(|triangle| !is_cap(triangle)).copied().collect();
-    mesh.triangles = kept;
-    let mut gone = vec![false; mesh.vertices.len()];
+    let mut gone: Vec<bool> = mesh.vertices.iter().map(gone).collect();
     loop {
         mesh.triangles.retain(|triangle| !triangle.iter().any(|&vertex| gone[vertex as usize]));
         let pinched = pinched(mesh);
@@ -121,7 +120,7 @@ pub(super) fn diagonal(mesh: &TriangleMesh) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Point3, Vector3};
+    use nalgebra::Vector3;
 
     use super::*;
 
@@ -143,7 +142,7 @@ mod tests {
     #[test]
     fn an_opening_takes_the_cap_and_its_vertices() {
         let mut mesh = octahedron();
-        let cut = Cut { point: Point3::new(0.0, 0.0, 0.3), normal: Vector3::z_axis(), radius: 1.0 };
+        let cut = Cut { point: Point3::new(0.0, 0.0, 1.0), normal: Vector3::z_axis(), radius: 1.0 };
         open(&mut mesh, &cut, 0.1);
         assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (5, 4));
     }

@@ -68,6 +68,10 @@ pub fn fit_joint(surface: &Surface, network: &mut Network, node: usize) -> Optio
         approaches.push(approach);
         places.push((track, at_end, replaced));
     }
+    // One branch among sacs meets nothing that it could be fitted with.
+    if starts.len() < 2 {
+        return None;
+    }
     let wall = wall_around(surface, &starts, &centre);
     let lines = information(&approaches, &centre);
     let fit = UnionFit { starts: &starts, balls: &balls, wall: &wall, origin: centre, lines };
@@ -189,6 +193,9 @@ fn wall_around(surface: &Surface, starts: &[Start], centre: &Point3<f64>) -> Vec
             }
         }
     }
-    let stride = found.len().div_ceil(MOST_VERTICES).max(1);
-    found.iter().step_by(stride).map(|&v| surface.mesh.vertices[v as usize]).collect()
+    // Each is chosen by its own number: one vertex more or less at the border must not change the choice.
+    let one_of = found.len().div_ceil(MOST_VERTICES).next_power_of_two() as u32;
+    let chosen = |v: &u32| (v.wrapping_mul(0x9E37_79B1) >> 16) % one_of == 0;
+    found.sort_unstable();
+    found.into_iter().filter(chosen).map(|v| surface.mesh.vertices[v as usize]).collect()
 }

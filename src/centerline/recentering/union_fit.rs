@@ -17,7 +17,7 @@ const LEVER: f64 = 0.5;
 /// Prior deviations: radius at the centre (share), centre from where it was (widest radius).
 const RADIUS: f64 = 0.08;
 const CENTRE: f64 = 1.0;
-const STEPS: usize = 10;
+const STEPS: usize = 15;
 /// Unknowns of a limb: its third control point and its radius at the centre.
 const OWN: usize = 4;
 
@@ -76,7 +76,7 @@ impl UnionFit<'_> {
             let moved = self.moved(&limbs, &step);
             let after = self.normal(&moved);
             if after.cost < normal.cost {
-                let still = normal.cost - after.cost < 1e-6 * normal.cost;
+                let still = normal.cost - after.cost < 1e-10 * normal.cost;
                 (limbs, normal, damping) = (moved, after, damping * 0.3);
                 if still {
                     break;
@@ -166,8 +166,9 @@ impl UnionFit<'_> {
             normal.add_square(&[(axis, 1.0)], centre[axis] - self.origin[axis], hold);
         }
         let (lines, pull) = &self.lines;
-        let off =
-            lines.pseudo_inverse(1e-12).map_or(Vector3::zeros(), |inverse| centre.coords - inverse * pull);
+        let off = lines
+            .pseudo_inverse(1e-12 * lines.norm())
+            .map_or(Vector3::zeros(), |inverse| centre.coords - inverse * pull);
         normal.add_block(3, 0.0, 1.0, lines, &off);
         for (number, (limb, start)) in limbs.iter().zip(self.starts).enumerate() {
             let (at, radius) = (3 + OWN * number, limb.radii[0]);
