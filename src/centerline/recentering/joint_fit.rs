@@ -195,7 +195,7 @@ fn wall_around(surface: &Surface, starts: &[Start], centre: &Point3<f64>) -> Vec
     }
     // Each is chosen by its own number: one vertex more or less at the border must not change the choice.
     let one_of = found.len().div_ceil(MOST_VERTICES).next_power_of_two() as u32;
-    let chosen = |v: &u32| (v.wrapping_mul(0x9E37_79B1) >> 16) % one_of == 0;
+    let chosen = |v: &u32| (v.wrapping_mul(0x9E37_79B1) >> 16).is_multiple_of(one_of);
     found.sort_unstable();
     found.into_iter().filter(chosen).map(|v| surface.mesh.vertices[v as usize]).collect()
 }
