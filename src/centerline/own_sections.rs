@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::component::ComponentGraph;
-use crate::centerline::cut_plane::section::{Frame, Section, any_perpendicular, section};
+use crate::centerline::cut_plane::section::{Frame, Section, any_perpendicular, section, walk_to_plane};
 use crate::centerline::equivalent_radius::wall_radius;
 use crate::centerline::graph::Branch;
 use crate::centerline::line_tree::{LineTree, Segment};
@@ -98,7 +98,9 @@ fn section_around(
     let frame = Frame::new(point, tangent, across);
     // Another try where the first ray ends at a wall that does not go around.
     [frame.u, frame.v, -frame.u, -frame.v].iter().find_map(|direction: &Vector3<f64>| {
-        let cut = section(surface, frame, grid.wall_ahead(&point, direction)?)?;
+        // A plane through vertices may only touch the triangle that the ray meets; it crosses the next.
+        let seed = walk_to_plane(surface, &frame, grid.wall_ahead(&point, direction)?)?;
+        let cut = section(surface, frame, seed)?;
         let measure = cut.measure();
         let around = measure.area > 0.0 && cut.encloses(&Point2::origin());
         around.then(|| (cut, measure.centroid, measure.radius()))
