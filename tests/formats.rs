@@ -9,7 +9,7 @@ use std::path::Path;
 
 use nalgebra::Point3;
 use rosaline::mesh::TriangleMesh;
-use rosaline::mesh::format::{Format, Hint, Limits, ReadError, ReadErrorKind, read};
+use rosaline::mesh::format::{Format, Hint, Limits, ReadError, ReadErrorKind, read, read_polylines};
 
 fn read_any(bytes: &[u8]) -> Result<(TriangleMesh, Format), ReadError> {
     read(bytes, Hint::default(), &Limits::default())
@@ -42,11 +42,15 @@ fn shared_surfaces_have_the_known_size() {
 #[test]
 fn a_file_of_centerlines_has_no_polygons() {
     let Some(shared) = common::shared() else { return };
-    for name in ["aorta.vmtk", "aortoiliac.simvascular", "carotid-left.vmtk"] {
+    let files = [("aorta.vmtk", 409, 2), ("aortoiliac.simvascular", 2354, 6), ("carotid-left.vmtk", 478, 6)];
+    for (name, points, count) in files {
         let bytes = std::fs::read(shared.join(format!("meshes/{name}-centerlines.vtp"))).unwrap();
         let error = read_any(&bytes).unwrap_err();
         assert_eq!((error.kind(), error.code()), (ReadErrorKind::Unprocessable, "no-polygons"), "{name}");
         assert!(error.to_string().contains("only lines"), "{error}");
+        let lines = read_polylines(&bytes, &Limits::default()).unwrap();
+        assert_eq!((lines.points.len(), lines.lines.len()), (points, count), "{name}");
+        assert_eq!(lines.radii.len(), points, "{name}");
     }
 }
 

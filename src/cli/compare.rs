@@ -8,7 +8,7 @@ use crate::compare::{Count, Length, Line, Measures, measure};
 
 use super::{Failure, files};
 
-/// Both files are rosaline JSON, or known polylines with `l_dia`, `tips` and `loops`.
+/// Each file is rosaline JSON, known polylines with `l_dia`, `tips` and `loops`, or VMTK's centerlines (VTP).
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The known centerline.
@@ -34,7 +34,7 @@ fn read(path: &Path) -> Result<Line, Failure> {
 }
 
 fn table(measures: &Measures) -> String {
-    let units = &measures.units;
+    let units = measures.units.as_deref().unwrap_or("mesh units");
     let mut text = format!("{:<8} {:>12} {:>16}\n", "", units, "% of diagonal");
     let lengths = [
         ("O_max", measures.o_max),

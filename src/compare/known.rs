@@ -34,8 +34,8 @@ pub(super) fn read(bytes: &[u8]) -> Result<Line, CompareError> {
         polylines,
         tips: file.tips,
         loops: file.loops,
-        units: "mm".to_owned(),
-        diagonal: file.l_dia,
+        units: Some("mm".to_owned()),
+        diagonal: Some(file.l_dia),
     })
 }
 
@@ -82,7 +82,7 @@ mod tests {
             [[0, 20, 0, 1], [10, 20, 0, 1]]]}"#;
         let line = Line::read(text).unwrap();
         assert_eq!((line.tips, line.loops, line.parts), (3, 0, 2));
-        assert_eq!((line.diagonal, line.units.as_str()), (12.5, "mm"));
+        assert_eq!((line.diagonal, line.units.as_deref()), (Some(12.5), Some("mm")));
         assert_eq!(line.polylines[0].radii, [2.0, 1.5, 1.0]);
         assert_eq!(line.polylines[1].points[1], Point3::new(5.0, 6.0, 0.0));
     }

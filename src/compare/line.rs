@@ -5,7 +5,7 @@ use nalgebra::Point3;
 use crate::centerline::Centerline;
 use crate::output::{ResultDocument, read_json};
 
-use super::{CompareError, known};
+use super::{CompareError, known, vmtk};
 
 /// A curve with a radius at each point.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,9 +25,10 @@ pub struct Line {
     pub loops: usize,
     /// Connected parts.
     pub parts: usize,
-    pub units: String,
-    /// Diagonal of the surface's bounding box.
-    pub diagonal: f64,
+    /// `None` where the file does not say.
+    pub units: Option<String>,
+    /// Diagonal of the surface's bounding box, where the file says it.
+    pub diagonal: Option<f64>,
 }
 
 /// A place on a polyline, with the length of line that it stands for.
@@ -38,13 +39,19 @@ pub(super) struct Sample {
 }
 
 impl Line {
-    /// Reads a `rosaline.centerline/1` document, or known polylines `[x, y, z, radius]` in mm
-    /// with the members `l_dia`, `tips` and `loops`.
+    /// Reads a `rosaline.centerline/1` document, known polylines `[x, y, z, radius]` in mm with the members
+    /// `l_dia`, `tips` and `loops`, or VMTK's centerlines in a VTP.
     ///
     /// # Errors
-    /// [`CompareError`] when it is neither, or contradicts itself.
+    /// [`CompareError`] when it is none of them, or contradicts itself.
     pub fn read(bytes: &[u8]) -> Result<Self, CompareError> {
-        if known::is_known(bytes) { known::read(bytes) } else { Self::of(&read_json(bytes)?) }
+        if vmtk::is_xml(bytes) {
+            vmtk::read(bytes)
+        } else if known::is_known(bytes) {
+            known::read(bytes)
+        } else {
+            Self::of(&read_json(bytes)?)
+        }
     }
 
     /// The line of a result.
@@ -63,8 +70,8 @@ impl Line {
             tips,
             loops,
             parts,
-            units: document.units.clone(),
-            diagonal: document.source.diagonal,
+            units: Some(document.units.clone()),
+            diagonal: Some(document.source.diagonal),
         })
     }
 }

@@ -6,6 +6,7 @@
 mod known;
 mod line;
 mod nearest;
+mod vmtk;
 
 pub use line::{Line, Polyline};
 
@@ -38,8 +39,9 @@ pub struct Count {
 /// How far a result is from the known centerline.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Measures {
-    pub units: String,
-    /// Diagonal of the known mesh's bounding box, in `units`.
+    /// `null` where neither line names its unit.
+    pub units: Option<String>,
+    /// Diagonal of the known mesh's bounding box, in `units`; of the result's where the known line does not say.
     pub diagonal: f64,
     /// Largest distance from the result to the known line (the paper's O_max).
     pub o_max: Length,
@@ -78,6 +80,10 @@ pub enum CompareError {
         "this is neither a rosaline.centerline/1 document nor a list of polylines [x, y, z, radius]: {0}"
     )]
     Json(#[from] serde_json::Error),
+    #[error("this is no centerline of VMTK's: {0}")]
+    Vtp(#[from] crate::mesh::format::ReadError),
+    #[error("neither line says the diagonal of its surface; compare with a rosaline result or with `l_dia`")]
+    NoDiagonal,
     #[error(transparent)]
     Document(#[from] crate::output::OutputError),
     #[error("the line has no length, so there is nothing to measure")]
@@ -98,18 +104,20 @@ pub enum CompareError {
     Units { truth: String, result: String },
 }
 
-/// Measures `result` against the known line `truth`.
+/// Measures `result` against the known line `truth`. A line without a unit is taken to be in the other's.
 ///
 /// # Errors
-/// [`CompareError::Empty`], [`CompareError::TooLong`], [`CompareError::Diagonal`] and
+/// [`CompareError::Empty`], [`CompareError::TooLong`], [`CompareError::NoDiagonal`], [`CompareError::Diagonal`] and
 /// [`CompareError::Units`].
 pub fn measure(truth: &Line, result: &Line) -> Result<Measures, CompareError> {
-    let diagonal = truth.diagonal;
+    let diagonal = truth.diagonal.or(result.diagonal).ok_or(CompareError::NoDiagonal)?;
     if !(diagonal.is_finite() && diagonal > 0.0) {
         return Err(CompareError::Diagonal { found: diagonal });
     }
-    if truth.units != result.units {
-        return Err(CompareError::Units { truth: truth.units.clone(), result: result.units.clone() });
+    if let (Some(truth), Some(result)) = (&truth.units, &result.units)
+        && truth != result
+    {
+        return Err(CompareError::Units { truth: truth.clone(), result: result.clone() });
     }
     for line in [truth, result] {
         let found: f64 = line.polylines.iter().map(Polyline::length).sum();
@@ -128,7 +136,7 @@ pub fn measure(truth: &Line, result: &Line) -> Result<Measures, CompareError> {
     let length = |absolute: f64| Length { absolute, percent: 100.0 * absolute / diagonal };
     let count = |truth, result| Count { truth, result };
     Ok(Measures {
-        units: truth.units.clone(),
+        units: truth.units.clone().or_else(|| result.units.clone()),
         diagonal,
         o_max: length(forward.max),
         o_mean: length(forward.mean),
@@ -204,7 +212,7 @@ mod tests {
     }
 
     fn line(polylines: Vec<Polyline>) -> Line {
-        Line { polylines, tips: 2, loops: 0, parts: 1, units: "mm".to_owned(), diagonal: 100.0 }
+        Line { polylines, tips: 2, loops: 0, parts: 1, units: Some("mm".to_owned()), diagonal: Some(100.0) }
     }
 
     fn close(found: f64, expected: f64, tolerance: f64) {
@@ -281,7 +289,7 @@ mod tests {
     fn lines_in_other_units_and_empty_ones_are_refused() {
         let truth = line(vec![straight([0.0; 3], [100.0, 0.0, 0.0], [2.0, 2.0])]);
         let mut metres = truth.clone();
-        metres.units = "m".to_owned();
+        metres.units = Some("m".to_owned());
         let error = measure(&truth, &metres).unwrap_err();
         assert!(error.to_string().contains("in mm and the result in m;"), "{error}");
         assert!(matches!(measure(&truth, &line(Vec::new())), Err(CompareError::Empty)));
@@ -290,7 +298,19 @@ mod tests {
         let far = straight([0.0; 3], [1e6, 0.0, 0.0], [1.0, 1.0]);
         assert!(matches!(measure(&truth, &line(vec![far])), Err(CompareError::TooLong { .. })));
         let mut flat = truth.clone();
-        flat.diagonal = 0.0;
+        flat.diagonal = Some(0.0);
         assert!(matches!(measure(&flat, &truth), Err(CompareError::Diagonal { .. })));
+    }
+
+    #[test]
+    fn a_line_without_unit_and_diagonal_has_the_other_lines() {
+        let mut bare = line(vec![straight([0.0; 3], [100.0, 0.0, 0.0], [2.0, 2.0])]);
+        let told = bare.clone();
+        (bare.units, bare.diagonal) = (None, None);
+        for (truth, result) in [(&bare, &told), (&told, &bare)] {
+            let measures = measure(truth, result).unwrap();
+            assert_eq!((measures.units.as_deref(), measures.diagonal), (Some("mm"), 100.0));
+        }
+        assert!(matches!(measure(&bare, &bare), Err(CompareError::NoDiagonal)));
     }
 }

@@ -51,8 +51,8 @@ pub fn apart(a: &Extraction, b: &Extraction) -> f64 {
         tips: 0,
         loops: 0,
         parts: 0,
-        units: "mm".to_owned(),
-        diagonal: a.surface.diagonal,
+        units: Some("mm".to_owned()),
+        diagonal: Some(a.surface.diagonal),
     };
     let measures = measure(&line(a), &line(b)).unwrap();
     measures.o_max.absolute.max(measures.missed.absolute)

@@ -37,12 +37,15 @@ mod values;
 mod vtk;
 mod vtp;
 mod vtp_data;
+mod vtp_lines;
+mod vtp_structure;
 
 use std::fmt;
 
 pub use error::{ReadError, ReadErrorKind};
 pub use sniff::{TELLING, plainly_foreign};
 pub use stl::write_stl_binary;
+pub use vtp_lines::{Polylines, read_polylines};
 
 use super::TriangleMesh;
 

@@ -15,7 +15,7 @@ use super::scalar::{ByteOrder, Scalar};
 use super::surface::check_limit;
 use super::text::Tokens;
 use super::values::Values;
-use super::vtp::{FORMAT, attribute, malformed};
+use super::vtp_structure::{FORMAT, attribute, malformed};
 
 /// Deflate cannot pack more than this many bytes into one.
 const MOST_DEFLATED: usize = 1032;
@@ -33,7 +33,20 @@ const BASE64: GeneralPurpose = GeneralPurpose::new(
 pub(super) enum Role {
     Connectivity,
     Offsets,
+    /// VMTK's `MaximumInscribedSphereRadius`, 3D Slicer's `Radius`.
+    InscribedRadius,
     Other,
+}
+
+impl Role {
+    pub(super) fn of(tag: &BytesStart<'_>) -> Self {
+        match attribute(tag, "Name") {
+            Some("connectivity") => Role::Connectivity,
+            Some("offsets") => Role::Offsets,
+            Some("MaximumInscribedSphereRadius" | "Radius") => Role::InscribedRadius,
+            _ => Role::Other,
+        }
+    }
 }
 
 /// The attribute `format`.
@@ -57,11 +70,7 @@ pub(super) struct Array<'a> {
 
 impl Array<'_> {
     pub(super) fn new(tag: &BytesStart<'_>) -> Result<Self, ReadError> {
-        let role = match attribute(tag, "Name") {
-            Some("connectivity") => Role::Connectivity,
-            Some("offsets") => Role::Offsets,
-            _ => Role::Other,
-        };
+        let role = Role::of(tag);
         let scalar = match attribute(tag, "type") {
             Some("Int8") => Scalar::I8,
             Some("UInt8") => Scalar::U8,
