@@ -93,8 +93,9 @@ pub fn extract(
             let cuts: Vec<u32> = openings.flat_map(|o| o.rim.iter().copied().chain([o.centre])).collect();
             smoothing_filter::smooth(&mut surface.mesh, &cuts, control)?;
         }
+        let grid = TriangleGrid::new(surface);
         let found = match parameters.preset() {
-            Preset::Default => preset_default::extract_component(surface, parameters, picks, control),
+            Preset::Default => preset_default::extract_component(&grid, parameters, picks, control),
             Preset::Paper => preset_paper::extract_component(surface, diagonal, parameters, picks, control),
         };
         match found {
@@ -102,7 +103,7 @@ pub fn extract(
                 if let Some(root) = picks.root {
                     orientation::tell_from(&mut graph, &surface.mesh.vertices[root.vertex as usize]);
                 }
-                extraction.warnings.extend(settle_and_measure(&mut measured, index, surface, &mut graph));
+                extraction.warnings.extend(settle_and_measure(&mut measured, index, &grid, &mut graph));
                 // The root's component comes first, so that the root is the first node of all.
                 graphs.insert(if picks.root.is_some() { 0 } else { graphs.len() }, graph);
             }
@@ -130,13 +131,13 @@ pub fn extract(
 fn settle_and_measure(
     measured: &mut Measured,
     index: usize,
-    surface: &Surface,
+    grid: &TriangleGrid<'_>,
     graph: &mut ComponentGraph,
 ) -> Vec<Warning> {
-    let (grid, tree) = (TriangleGrid::new(surface), LineTree::new(graph));
-    let sections = own_sections(surface, &grid, &tree, graph);
+    let (surface, tree) = (grid.surface(), LineTree::new(graph));
+    let sections = own_sections(surface, grid, &tree, graph);
     equivalent_radius::settle(graph, &sections);
-    measured.add(index, Line { surface, grid: &grid, graph, tree: &tree, sections: &sections })
+    measured.add(index, Line { surface, grid, graph, tree: &tree, sections: &sections })
 }
 
 /// The part of the work that each component is, by its vertices; `None` for specks.

@@ -29,28 +29,30 @@ use crate::centerline::tips::reeb::ReebGraph;
 use crate::centerline::tips::root::Among;
 use crate::centerline::tips::skeleton::skeleton;
 use crate::centerline::tips::{Branching, Chain};
+use crate::centerline::triangle_grid::TriangleGrid;
 use crate::centerline::{Control, ExtractError, Parameters, Stage};
 
 /// Rounds of centering joints and judging the walls on the way to them.
 const JOINT_ROUNDS: usize = 4;
 
-/// The centerline of one component.
+/// The centerline of one component, its triangles sorted into `grid`.
 ///
 /// # Errors
 /// [`ExtractError::NotTubular`] for a blob, [`ExtractError::Cancelled`].
 pub fn extract_component(
-    surface: &Surface,
+    grid: &TriangleGrid<'_>,
     parameters: &Parameters,
     picks: &Picks,
     control: &Control<'_>,
 ) -> Result<ComponentGraph, ExtractError> {
     control.report(Stage::Tips, 0.0)?;
+    let surface = grid.surface();
     let (graph, branching) = skeleton(surface, parameters.tip_height(), picks, Among::AllEnds, control)?;
     let Branching { chains, raised, .. } = &branching;
     let mut network = Network::new(&graph, chains);
     control.report(Stage::CutPlanes, 0.0)?;
     let owners = owners(surface, &graph, chains);
-    let trusted = cut_planes(surface, &graph, (chains, raised), &owners, &mut network, control)?;
+    let trusted = cut_planes(grid, &graph, (chains, raised), &owners, &mut network, control)?;
     if network.tracks.iter().all(|track| track.stations.iter().all(|s| s.sight != Sight::Clean)) {
         let detail = "no plane cuts it in a closed section that is one vessel's own".to_owned();
         return Err(ExtractError::Undersampled { detail });
@@ -64,9 +66,9 @@ pub fn extract_component(
         smooth(track, None, None);
     });
     control.report(Stage::Recentering, 0.0)?;
-    reach_ends(surface, &mut network, control)?;
-    meet_in_joints(surface, &owners, &mut network, control)?;
-    fit_joints(surface, &mut network, control)?;
+    reach_ends(grid, &mut network, control)?;
+    meet_in_joints(grid, &owners, &mut network, control)?;
+    fit_joints(grid, &mut network, control)?;
     control.report(Stage::Connection, 0.0)?;
     let mut result = network.connect();
     result.warnings.extend(unsupported::check(&network));
@@ -78,13 +80,14 @@ pub fn extract_component(
 
 /// Rings, stations and judged sections of every branch; returns which branches have a section of their own.
 fn cut_planes(
-    surface: &Surface,
+    grid: &TriangleGrid<'_>,
     graph: &ReebGraph,
     (chains, raised): (&[Chain], &[u32]),
     owners: &[u32],
     network: &mut Network,
     control: &Control<'_>,
 ) -> Result<Vec<bool>, ExtractError> {
+    let surface = grid.surface();
     let tip = |node: usize, reeb: u32| network.is_end(node).then(|| rim_level(surface, graph, reeb));
     let opens = |reeb: u32| {
         let vertex = graph.nodes[reeb as usize].vertex;
@@ -110,7 +113,7 @@ fn cut_planes(
             at_wall(surface, track, tip);
             return Ok(true);
         }
-        if leaf && round_bulge(surface, track, from_tip.is_some()) {
+        if leaf && round_bulge(grid, track, from_tip.is_some()) {
             return Ok(true);
         }
         trim_tips(track, from_tip, to_tip);
@@ -181,7 +184,11 @@ fn trim_tips(track: &mut Track, from_level: Option<f64>, to_level: Option<f64>) 
 }
 
 /// Puts each end node at the wall ahead of its branch.
-fn reach_ends(surface: &Surface, network: &mut Network, control: &Control<'_>) -> Result<(), ExtractError> {
+fn reach_ends(
+    grid: &TriangleGrid<'_>,
+    network: &mut Network,
+    control: &Control<'_>,
+) -> Result<(), ExtractError> {
     for node in 0..network.nodes.len() {
         control.cancel.check()?;
         let [(track, at_end)] = network.incident(node)[..] else { continue };
@@ -191,8 +198,8 @@ fn reach_ends(surface: &Surface, network: &mut Network, control: &Control<'_>) -
         }
         let vertex = network.nodes[node].vertex;
         let end = network.oriented(track, at_end, |track| {
-            follow_rings(surface, track, vertex);
-            end_point(surface, track, vertex)
+            follow_rings(grid, track, vertex);
+            end_point(grid, track, vertex)
         });
         network.nodes[node].anchor = Some(Anchor { point: end.point, radius: end.radius });
     }
@@ -201,16 +208,17 @@ fn reach_ends(surface: &Surface, network: &mut Network, control: &Control<'_>) -
 
 /// Finds the joints' centres and leads the branches into them, a few rounds.
 fn meet_in_joints(
-    surface: &Surface,
+    grid: &TriangleGrid<'_>,
     owners: &[u32],
     network: &mut Network,
     control: &Control<'_>,
 ) -> Result<(), ExtractError> {
+    let surface = grid.surface();
     for round in 0..JOINT_ROUNDS {
         control.report(Stage::Recentering, round as f64 / JOINT_ROUNDS as f64)?;
         for node in 0..network.nodes.len() {
             control.cancel.check()?;
-            meet(surface, owners, network, node);
+            meet(grid, owners, network, node);
         }
         if round == 0 {
             network.contract_close();
@@ -240,7 +248,8 @@ fn meet_in_joints(
 }
 
 /// Finds one joint's centre and leads its branches in.
-fn meet(surface: &Surface, owners: &[u32], network: &mut Network, node: usize) {
+fn meet(grid: &TriangleGrid<'_>, owners: &[u32], network: &mut Network, node: usize) {
+    let surface = grid.surface();
     let incident = network.incident(node);
     if incident.len() < 2 || network.is_ring(node) {
         return;
@@ -255,19 +264,24 @@ fn meet(surface: &Surface, owners: &[u32], network: &mut Network, node: usize) {
     let centre = joint_centre(&approaches, &prior);
     let radius = network.joint_radius(&incident);
     network.nodes[node].anchor = Some(Anchor { point: centre, radius });
-    aim_bulges(surface, network, &incident, &centre);
+    aim_bulges(grid, network, &incident, &centre);
     lead_in(surface, owners, network, &incident, &centre);
 }
 
 /// Draws the lines of the bulges at a joint straight from its centre through their middles.
-fn aim_bulges(surface: &Surface, network: &mut Network, incident: &[(usize, bool)], centre: &Point3<f64>) {
+fn aim_bulges(
+    grid: &TriangleGrid<'_>,
+    network: &mut Network,
+    incident: &[(usize, bool)],
+    centre: &Point3<f64>,
+) {
     for &(index, at_end) in incident {
         let track = &network.tracks[index];
         let Some(bulge) = &track.bulge else { continue };
         let far = if at_end { track.from } else { track.to };
-        let tip = surface.mesh.vertices[network.nodes[far].vertex as usize];
-        let end = far_wall(surface, bulge, centre).unwrap_or(EndPoint { point: tip, radius: 0.0 });
-        let stations = line_through(surface, track, centre, &end.point, !at_end);
+        let tip = grid.surface().mesh.vertices[network.nodes[far].vertex as usize];
+        let end = far_wall(grid, bulge, centre).unwrap_or(EndPoint { point: tip, radius: 0.0 });
+        let stations = line_through(grid, track, centre, &end.point, !at_end);
         network.nodes[far].anchor = Some(Anchor { point: end.point, radius: end.radius });
         network.tracks[index].stations = stations;
     }
@@ -296,25 +310,29 @@ fn lead_in(
 }
 
 /// Fits the joints to all the wall around them.
-fn fit_joints(surface: &Surface, network: &mut Network, control: &Control<'_>) -> Result<(), ExtractError> {
+fn fit_joints(
+    grid: &TriangleGrid<'_>,
+    network: &mut Network,
+    control: &Control<'_>,
+) -> Result<(), ExtractError> {
     let mut fitted = Vec::new();
     for node in 0..network.nodes.len() {
         control.cancel.check()?;
-        if let Some(joint) = fit_joint(surface, network, node) {
+        if let Some(joint) = fit_joint(grid.surface(), network, node) {
             fitted.push((node, joint));
         }
     }
     for (node, joint) in fitted {
-        place(surface, network, node, &joint);
+        place(grid, network, node, &joint);
     }
     Ok(())
 }
 
 /// Leads the branches of a joint along their fitted ways.
-fn place(surface: &Surface, network: &mut Network, node: usize, joint: &FittedJoint) {
+fn place(grid: &TriangleGrid<'_>, network: &mut Network, node: usize, joint: &FittedJoint) {
     let Some(anchor) = &mut network.nodes[node].anchor else { return };
     let moved = joint.centre - std::mem::replace(&mut anchor.point, joint.centre);
-    aim_bulges(surface, network, &network.incident(node), &joint.centre);
+    aim_bulges(grid, network, &network.incident(node), &joint.centre);
     for way in &joint.limbs {
         network.oriented(way.track, way.at_end, |track| {
             let firm = track.stations.len() - way.replaced;

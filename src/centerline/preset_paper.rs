@@ -25,6 +25,7 @@ use crate::centerline::tips::picks::Picks;
 use crate::centerline::tips::root::Among;
 use crate::centerline::tips::skeleton::skeleton;
 use crate::centerline::tips::xie_beni::best_count;
+use crate::centerline::triangle_grid::TriangleGrid;
 use crate::centerline::{ExtractError, Parameters, laplacian_smoothing};
 
 /// Passes of the Laplacian smoothing: enough that a point hears of those half a local radius away, within
@@ -86,7 +87,7 @@ fn extract_in_frame(
 
     let Refined { points, radii, joint } = &refined;
     let connection = Connection {
-        surface,
+        grid: &TriangleGrid::new(surface),
         reeb: &reeb,
         chains: &branching.chains,
         excluded: &branching.excluded,

@@ -1,9 +1,13 @@
 //! The triangles of a surface sorted into cubes: what a line meets, and whether a point is inside.
 
+mod vertices;
+
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
 use crate::mesh::preparation::Surface;
+
+use crate::centerline::ray::crossing;
 
 /// Triangles by the cubes that their bounding boxes touch.
 ///
@@ -100,8 +104,15 @@ impl<'a> TriangleGrid<'a> {
     }
 
     fn in_cell(&self, [x, y, z]: [usize; 3]) -> &[u32] {
-        let cell = (z * self.size[1] + y) * self.size[0] + x;
+        self.of_cell((z * self.size[1] + y) * self.size[0] + x)
+    }
+
+    fn of_cell(&self, cell: usize) -> &[u32] {
         &self.triangles[self.start[cell] as usize..self.start[cell + 1] as usize]
+    }
+
+    pub fn surface(&self) -> &'a Surface {
+        self.surface
     }
 
     /// Whether the surface winds around a point: a ray from it along x leaves more often than it enters.
@@ -167,6 +178,23 @@ impl<'a> TriangleGrid<'a> {
             first.is_some_and(|(share, ..)| share <= until)
         });
         first.filter(|&(_, _, leaves)| leaves).map(|(_, t, _)| t)
+    }
+
+    /// Distance to the nearest triangle through which a ray from inside leaves the lumen, in units of
+    /// `direction`'s length; what it enters on the way is passed over.
+    pub fn way_out(&self, origin: &Point3<f64>, direction: &Vector3<f64>) -> Option<f64> {
+        let leaves = |determinant: f64| determinant < 0.0;
+        let mut nearest: Option<f64> = None;
+        self.walk(origin, direction, f64::INFINITY, |triangles, until| {
+            for &t in triangles {
+                let corners = &self.surface.mesh.triangles[t as usize];
+                if let Some(distance) = crossing(self.surface, corners, origin, direction, leaves) {
+                    nearest = Some(nearest.map_or(distance, |least| least.min(distance)));
+                }
+            }
+            nearest.is_some_and(|least| least <= until)
+        });
+        nearest
     }
 
     /// Where a line meets a triangle (Moller and Trumbore 1997), and whether it leaves the lumen there.
@@ -335,6 +363,9 @@ mod tests {
                 prop_assert_eq!(wall, Some((*first, true)));
             }
             prop_assert_eq!(grid.encloses(&center(&a, &a)), states[0]);
+            let corners = surface.mesh.triangles.iter();
+            let ways_out = corners.filter_map(|t| crossing(&surface, t, &a, &(b - a), |turn| turn < 0.0));
+            prop_assert_eq!(grid.way_out(&a, &(b - a)), ways_out.min_by(f64::total_cmp));
         }
     }
 }

@@ -10,8 +10,6 @@ pub mod unsupported;
 
 use nalgebra::{Point3, Vector3};
 
-use crate::mesh::preparation::Surface;
-
 use crate::centerline::ExtractError;
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::connection::network::Network;
@@ -23,6 +21,7 @@ use crate::centerline::recentering::joint_collapse::meet;
 use crate::centerline::segmentation::track::{Bulge, Station, Track, tangents};
 use crate::centerline::tips::Chain;
 use crate::centerline::tips::reeb::ReebGraph;
+use crate::centerline::triangle_grid::TriangleGrid;
 
 /// Width of a band of the level, in local radii.
 const BAND: f64 = 0.5;
@@ -38,7 +37,7 @@ const GAP: f64 = 1.0;
 
 /// Points of every vertex, and the Reeb graph's chains over the same vertices.
 pub struct Connection<'a> {
-    pub surface: &'a Surface,
+    pub grid: &'a TriangleGrid<'a>,
     pub reeb: &'a ReebGraph,
     pub chains: &'a [Chain],
     /// Reeb arcs of ends that are not wanted: the line is not to be led there.
@@ -231,8 +230,8 @@ impl Connection<'_> {
             let few = (1..3).contains(&track.stations.len());
             let middle = track.stations.first().filter(|_| few);
             let sac = middle.map(|s| Bulge { centre: s.point, radius: s.section_radius });
-            let across = joint.zip(sac).and_then(|(joint, sac)| far_wall(self.surface, &sac, &joint.point));
-            across.unwrap_or_else(|| end_point(self.surface, track, tip))
+            let across = joint.zip(sac).and_then(|(joint, sac)| far_wall(self.grid, &sac, &joint.point));
+            across.unwrap_or_else(|| end_point(self.grid, track, tip))
         });
         Anchor { point: end.point, radius: end.radius }
     }

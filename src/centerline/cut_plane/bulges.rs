@@ -7,10 +7,11 @@ use nalgebra::{Matrix3, Matrix4, Point3, Unit, Vector3, Vector4};
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::segmentation::track::{Bulge, SPACING, Sight, Station, Track};
+use crate::centerline::triangle_grid::TriangleGrid;
 
 /// Finds a bulge by its level sets alone, whatever sections could be cut through it and the vessel
 /// together, and draws its line; returns whether it is one.
-pub fn round_bulge(surface: &Surface, track: &mut Track, tip_first: bool) -> bool {
+pub fn round_bulge(grid: &TriangleGrid<'_>, track: &mut Track, tip_first: bool) -> bool {
     /// Largest deviation (root mean square) of the wall from its sphere, in radii. Sacs of the phantoms
     /// have up to 0.04, stumps of tubes 0.10 and more.
     const DEVIATION: f64 = 0.06;
@@ -32,11 +33,10 @@ pub fn round_bulge(surface: &Surface, track: &mut Track, tip_first: bool) -> boo
     }
     let joint = base.centroid;
     // A front covers a sac's sides unevenly: its whole wall counts.
-    let near = |v: &&Point3<f64>| (*v - centre).norm() < NEAR * radius;
-    let wall: Vec<Point3<f64>> = surface.mesh.vertices.iter().filter(near).copied().collect();
+    let wall = grid.vertices_within(&centre, NEAR * radius);
     let (centre, radius) = dome(&wall, (centre, radius));
     track.bulge = Some(Bulge { centre, radius });
-    track.stations = line_through(surface, track, &joint, &centre, !tip_first);
+    track.stations = line_through(grid, track, &joint, &centre, !tip_first);
     true
 }
 
@@ -60,9 +60,9 @@ pub fn at_wall(surface: &Surface, track: &mut Track, tip: u32) {
 
 /// Stations of a bulge, straight from its joint to `end`; in reverse where the joint is the track's end.
 ///
-/// The radius of each is its distance from the nearest vertex. O(stations x vertices).
+/// The radius of each is its distance from the nearest vertex. O(stations x cubes of that radius).
 pub fn line_through(
-    surface: &Surface,
+    grid: &TriangleGrid<'_>,
     track: &Track,
     joint: &Point3<f64>,
     end: &Point3<f64>,
@@ -74,10 +74,8 @@ pub fn line_through(
     let count = (step.norm() / (SPACING * bulge.radius)).ceil().clamp(1.0, 64.0) as usize;
     let at = |i: usize| {
         let point = joint + step * (i as f64 / count as f64);
-        let near =
-            surface.mesh.vertices.iter().map(|v| (v - point).norm_squared()).fold(f64::INFINITY, f64::min);
         let tangent = if joint_first { outward } else { -outward };
-        let mut station = Station::rough(point, tangent, near.sqrt(), track.rings.len() / 2);
+        let mut station = Station::rough(point, tangent, grid.clearance(&point), track.rings.len() / 2);
         station.sight = Sight::Clean;
         station.weight = Matrix3::identity();
         station

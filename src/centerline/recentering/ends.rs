@@ -1,12 +1,10 @@
 //! Ends: the line reaches the middle of the cap, of the opening or of a dome's far wall.
 
-use nalgebra::{Matrix3, Point3, Unit, Vector3};
-
-use crate::mesh::preparation::Surface;
+use nalgebra::{Matrix3, Point3, Unit};
 
 use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
-use crate::centerline::ray::crossing;
 use crate::centerline::segmentation::track::{Bulge, SPACING, Sight, Station, Track, update_tangents};
+use crate::centerline::triangle_grid::TriangleGrid;
 
 /// Where the line of a track, continued past its last station, meets the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,8 +17,9 @@ pub struct EndPoint {
 /// The end point of `track` past its last station; `tip` is the Reeb leaf's vertex: the centre of an
 /// opening, or what is used where the continued line meets no wall nearby.
 ///
-/// O(triangles).
-pub fn end_point(surface: &Surface, track: &Track, tip: u32) -> EndPoint {
+/// O(stations + triangles beside the line).
+pub fn end_point(grid: &TriangleGrid<'_>, track: &Track, tip: u32) -> EndPoint {
+    let surface = grid.surface();
     let tip_point = surface.mesh.vertices[tip as usize];
     let opening = surface.openings.iter().find(|opening| opening.centre == tip);
     let Some(last) = track.stations.last() else {
@@ -36,7 +35,7 @@ pub fn end_point(surface: &Surface, track: &Track, tip: u32) -> EndPoint {
         let point = in_opening(&line, &tip_point, last.section_radius);
         return EndPoint { point, radius: continued_radius(track, (point - last.point).norm()) };
     }
-    let hit = first_hit(surface, &last.point, &line.tangent);
+    let hit = grid.way_out(&last.point, &line.tangent);
     let near = hit.filter(|distance| *distance < 4.0 * last.section_radius);
     let to_tip = (tip_point - last.point).dot(&line.tangent).max(0.1 * last.section_radius);
     let distance = near.unwrap_or(to_tip);
@@ -61,18 +60,18 @@ fn in_opening(line: &CurveEnd, centre: &Point3<f64>, radius: f64) -> Point3<f64>
 /// Goes on along the middles of the level sets where a line that runs straight on would leave the lumen through
 /// its side, well before the tip: in a thin vessel of few triangles no section may be clean for long.
 ///
-/// O(triangles + rings).
-pub fn follow_rings(surface: &Surface, track: &mut Track, tip: u32) {
+/// O(rings + triangles beside the line).
+pub fn follow_rings(grid: &TriangleGrid<'_>, track: &mut Track, tip: u32) {
     /// How much farther than the wall ahead the tip lies, in radii.
     const SHORT: f64 = 0.8;
     /// Level sets this near to a tip lie aslant, in radii.
     const ASLANT: f64 = 1.2;
     /// How firmly a level set's middle holds the line, against a section's.
     const LOOSE: f64 = 0.3;
-    let tip = surface.mesh.vertices[tip as usize];
+    let tip = grid.surface().mesh.vertices[tip as usize];
     let Some(last) = track.stations.last().cloned() else { return };
     let radius = last.section_radius;
-    let ahead = first_hit(surface, &last.point, &last.tangent).unwrap_or(0.0);
+    let ahead = grid.way_out(&last.point, &last.tangent).unwrap_or(0.0);
     if (tip - last.point).dot(&last.tangent) < ahead + SHORT * radius {
         return;
     }
@@ -94,9 +93,9 @@ pub fn follow_rings(surface: &Surface, track: &mut Track, tip: u32) {
 }
 
 /// The far wall of a bulge, seen from its joint through its middle.
-pub fn far_wall(surface: &Surface, bulge: &Bulge, joint: &Point3<f64>) -> Option<EndPoint> {
+pub fn far_wall(grid: &TriangleGrid<'_>, bulge: &Bulge, joint: &Point3<f64>) -> Option<EndPoint> {
     let direction = (bulge.centre - joint).try_normalize(0.0)?;
-    let distance = first_hit(surface, &bulge.centre, &direction)?;
+    let distance = grid.way_out(&bulge.centre, &direction)?;
     let distance = distance.min(2.0 * bulge.radius);
     Some(EndPoint { point: bulge.centre + direction * distance, radius: 0.05 * bulge.radius })
 }
@@ -110,11 +109,4 @@ fn continued_radius(track: &Track, distance: f64) -> f64 {
     let slope = before.map_or(0.0, |s| (last.radius - s.radius) / (last.point - s.point).norm());
     let radius = last.radius.max(0.0);
     (radius + slope * distance).clamp(0.05 * radius, 1.5 * radius)
-}
-
-/// Distance to the nearest triangle through which a ray from inside leaves the lumen. O(triangles).
-fn first_hit(surface: &Surface, origin: &Point3<f64>, direction: &Vector3<f64>) -> Option<f64> {
-    let leaves = |determinant: f64| determinant < 0.0;
-    let hits = surface.mesh.triangles.iter().filter_map(|t| crossing(surface, t, origin, direction, leaves));
-    hits.min_by(f64::total_cmp)
 }
