@@ -270,10 +270,20 @@ fn keep_ring_centres(stations: &mut [Station]) {
     }
 }
 
-/// Cuts the clean stations anew after the line moved, each expecting its own wall.
+/// Whether a station is still where it was cut last, so that its section would say the same again.
+fn stands(station: &Station) -> bool {
+    /// The most that it may have moved, in radii, or turned (sine).
+    const STILL: f64 = 1e-3;
+    let Frame { origin, t, .. } = station.frame;
+    (station.point - origin).norm() < STILL * station.section_radius
+        && station.tangent.dot(&t) > 0.0
+        && station.tangent.cross(&t).norm() < STILL
+}
+
+/// Cuts the clean stations anew that the line moved, each expecting its own wall.
 pub fn recut(surface: &Surface, track: &mut Track) {
     let Track { rings, stations, .. } = track;
-    for station in stations.iter_mut().filter(|s| s.sight == Sight::Clean) {
+    for station in stations.iter_mut().filter(|s| s.sight == Sight::Clean && !stands(s)) {
         let frame = Frame::new(station.point, station.tangent, station.frame.u);
         let near = station.seeds.and_then(|seeds| section_from_seeds(surface, frame, &seeds));
         let from_rings = || section_from_rings(surface, frame, rings_near(rings, station.ring));
