@@ -315,14 +315,13 @@ fn fit_joints(
     network: &mut Network,
     control: &Control<'_>,
 ) -> Result<(), ExtractError> {
-    let mut fitted = Vec::new();
-    for node in 0..network.nodes.len() {
+    let seen = &*network;
+    let fit = |node: usize| {
         control.cancel.check()?;
-        if let Some(joint) = fit_joint(grid.surface(), network, node) {
-            fitted.push((node, joint));
-        }
-    }
-    for (node, joint) in fitted {
+        Ok(fit_joint(grid.surface(), seen, node))
+    };
+    let fitted = (0..seen.nodes.len()).into_par_iter().map(fit).collect::<Result<Vec<_>, ExtractError>>()?;
+    for (node, joint) in fitted.into_iter().enumerate().filter_map(|(node, joint)| Some((node, joint?))) {
         place(grid, network, node, &joint);
     }
     Ok(())

@@ -92,6 +92,16 @@ impl Network {
         result
     }
 
+    /// A copy of a track, without its rings, that runs toward the node in question.
+    pub fn toward(&self, track: usize, at_end: bool) -> Track {
+        let track = &self.tracks[track];
+        let mut copy = Track { rings: Vec::new(), stations: track.stations.clone(), ..*track };
+        if !at_end {
+            copy.reverse();
+        }
+        copy
+    }
+
     /// Middle of the stations nearest to a joint; `None` where no branch has any.
     pub fn prior(&self, incident: &[(usize, bool)]) -> Option<Point3<f64>> {
         let nearest = incident.iter().filter_map(|&(track, at_end)| {

@@ -112,16 +112,17 @@ fn distance(station: &Station, last: &Station) -> f64 {
 
 /// The sections of the vessel that a track continues past its other end, in order toward that end: where
 /// joints follow closely, a track alone is too short to say how the vessel runs.
-pub fn run_up(network: &mut Network, track: usize, at_end: bool) -> Vec<Seen> {
+pub fn run_up(network: &Network, track: usize, at_end: bool) -> Vec<Seen> {
     /// Cosine of the largest bend, and the largest ratio of radii, of one vessel.
     const STRAIGHT: f64 = 0.8;
     const ALIKE: f64 = 1.35;
     let far = if at_end { network.tracks[track].from } else { network.tracks[track].to };
-    let first = network.oriented(track, at_end, |track| track.stations.iter().find(|s| clean(s)).cloned());
-    let Some(first) = first else { return Vec::new() };
-    let length = network
-        .oriented(track, at_end, |track| track.stations.last().map_or(0.0, |last| distance(&first, last)));
-    if length > REACH || network.tracks[track].bulge.is_some() {
+    if network.tracks[track].bulge.is_some() {
+        return Vec::new();
+    }
+    let own = network.toward(track, at_end);
+    let Some(first) = own.stations.iter().find(|s| clean(s)) else { return Vec::new() };
+    if own.stations.last().is_some_and(|last| distance(first, last) > REACH) {
         return Vec::new();
     }
     let mut best: Option<(f64, Vec<Seen>)> = None;
@@ -129,12 +130,11 @@ pub fn run_up(network: &mut Network, track: usize, at_end: bool) -> Vec<Seen> {
         if other == track || network.tracks[other].bulge.is_some() {
             continue;
         }
-        let run: Vec<Station> = network.oriented(other, other_end, |other| {
-            let behind = |s: &&Station| {
-                clean(s) && (first.point - s.point).dot(&first.tangent) > 0.5 * SPACING * first.section_radius
-            };
-            other.stations.iter().filter(behind).cloned().collect()
-        });
+        let other = network.toward(other, other_end);
+        let behind = |s: &&Station| {
+            clean(s) && (first.point - s.point).dot(&first.tangent) > 0.5 * SPACING * first.section_radius
+        };
+        let run: Vec<&Station> = other.stations.iter().filter(behind).collect();
         let Some(last) = run.last() else { continue };
         let cosine = last.tangent.dot(&first.tangent);
         let ratio = last.section_radius / first.section_radius;

@@ -40,7 +40,7 @@ pub struct FittedLimb {
 }
 
 /// Fits the joint of `node`; `None` where a branch has no firm section on the way or the fit runs away.
-pub fn fit_joint(surface: &Surface, network: &mut Network, node: usize) -> Option<FittedJoint> {
+pub fn fit_joint(surface: &Surface, network: &Network, node: usize) -> Option<FittedJoint> {
     let incident = network.incident(node);
     let centre = network.anchor(node)?.point;
     if incident.len() < 3 || incident.len() > 6 {
@@ -58,15 +58,13 @@ pub fn fit_joint(surface: &Surface, network: &mut Network, node: usize) -> Optio
         let before = run_up(network, track, at_end);
         let near = influence(&headings, headings.iter().position(|h| h.track == (track, at_end))?);
         let inner = !network.is_end(network.tracks[track].from) && !network.is_end(network.tracks[track].to);
-        let (start, approach, replaced) = network.oriented(track, at_end, |track| {
-            let firm = firm_station(&track.stations, inner, near, &centre)?;
-            let approach = Approach::of(&track.up_to(firm), &before)?;
-            let replaced = track.stations.len() - 1 - firm;
-            Some((start(&track.stations[firm], &approach, &centre)?, approach, replaced))
-        })?;
-        starts.push(start);
+        let mut own = network.toward(track, at_end);
+        let firm = firm_station(&own.stations, inner, near, &centre)?;
+        places.push((track, at_end, own.stations.len() - 1 - firm));
+        own.stations.truncate(firm + 1);
+        let approach = Approach::of(&own, &before)?;
+        starts.push(start(&own.stations[firm], &approach, &centre)?);
         approaches.push(approach);
-        places.push((track, at_end, replaced));
     }
     // One branch among sacs meets nothing that it could be fitted with.
     if starts.len() < 2 {
@@ -95,14 +93,15 @@ struct Heading {
     radius: f64,
 }
 
-fn headings(network: &mut Network, incident: &[(usize, bool)]) -> Vec<Heading> {
+fn headings(network: &Network, incident: &[(usize, bool)]) -> Vec<Heading> {
     let one = |&(track, at_end): &(usize, bool)| {
-        network.oriented(track, at_end, |own| {
-            let last = own.stations.iter().rev().find(|s| s.sight == Sight::Clean)?;
-            let bulge = own.bulge.map(|bulge| bulge.radius);
-            let radius = bulge.unwrap_or(last.section_radius);
-            Some(Heading { track: (track, at_end), tangent: *last.tangent, radius })
-        })
+        let own = &network.tracks[track];
+        let mut clean = own.stations.iter().filter(|s| s.sight == Sight::Clean);
+        let last = if at_end { clean.next_back() } else { clean.next() }?;
+        let bulge = own.bulge.map(|bulge| bulge.radius);
+        let radius = bulge.unwrap_or(last.section_radius);
+        let tangent = if at_end { *last.tangent } else { -*last.tangent };
+        Some(Heading { track: (track, at_end), tangent, radius })
     };
     incident.iter().filter_map(one).collect()
 }

@@ -119,14 +119,8 @@ impl UnionFit<'_> {
     fn add_wall(&self, limbs: &[Limb], normal: &mut Normal) {
         let pieces: Vec<_> = limbs.iter().map(Limb::pieces).collect();
         for vertex in self.wall {
-            let mut feet: Vec<(usize, Foot)> = limbs
-                .iter()
-                .zip(&pieces)
-                .map(|(limb, pieces)| limb.foot(pieces, vertex))
-                .enumerate()
-                .collect();
-            feet.sort_by(|a, b| a.1.outside.total_cmp(&b.1.outside));
-            let [(number, foot), (_, second), ..] = feet[..] else { return };
+            let feet = limbs.iter().zip(&pieces).map(|(limb, pieces)| limb.foot(pieces, vertex));
+            let Some((number, foot, second)) = nearest_two(feet) else { return };
             let in_ball = |ball: &Bulge| (vertex - ball.centre).norm() - ball.radius < foot.outside;
             if self.balls.iter().any(in_ball) {
                 continue;
@@ -138,7 +132,7 @@ impl UnionFit<'_> {
             let foreign = foot.outside / (FOREIGN * radius);
             let share = 1.0 / (1.0 + foreign * foreign);
             let basis = Limb::basis(foot.t);
-            let trust = ((second.outside - foot.outside) / (CREASE * radius)).min(1.0)
+            let trust = ((second - foot.outside) / (CREASE * radius)).min(1.0)
                 * ((basis[2] + basis[3]) / LEVER).min(1.0).powi(4)
                 / (USUAL * radius).powi(2);
             let weight = share * share * trust;
@@ -188,6 +182,22 @@ impl UnionFit<'_> {
             normal.add_block(at, -2.0, shared, &(Matrix3::identity() * (scale * scale)), &bend);
         }
     }
+}
+
+/// The foot of the nearest limb with its number, and how far the point is outside of the next one's wall.
+fn nearest_two(feet: impl Iterator<Item = Foot>) -> Option<(usize, Foot, f64)> {
+    let mut nearest: Option<(usize, Foot)> = None;
+    let mut second = f64::INFINITY;
+    for (number, foot) in feet.enumerate() {
+        match nearest {
+            Some((_, least)) if foot.outside >= least.outside => second = second.min(foot.outside),
+            _ => {
+                second = nearest.map_or(second, |(_, least)| least.outside);
+                nearest = Some((number, foot));
+            }
+        }
+    }
+    nearest.map(|(number, foot)| (number, foot, second))
 }
 
 impl Normal {

@@ -95,14 +95,6 @@ pub struct Track {
     pub process: Process,
 }
 
-impl Track {
-    /// The track as if it ended with station number `last`.
-    pub fn up_to(&self, last: usize) -> Self {
-        let stations = self.stations[..=last].to_vec();
-        Self { stations, rings: Vec::new(), ..self.clone() }
-    }
-}
-
 /// The level sets of a chain, one every [`SPACING`] radii. O(edges crossed).
 pub fn rings(surface: &Surface, graph: &ReebGraph, chain: &Chain) -> Vec<LevelSet> {
     let level = |node: u32| graph.nodes[node as usize].level;
