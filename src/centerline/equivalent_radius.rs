@@ -5,7 +5,7 @@
 //! at ends, in joints and in sacs without a section, that of the nearest stands; a branch without any has the
 //! ratio 1. A node takes that of its widest branch.
 
-use nalgebra::{Point2, SMatrix, SVector};
+use nalgebra::{Point2, SMatrix, SVector, Vector2};
 
 use crate::mesh::preparation::Surface;
 
@@ -35,28 +35,32 @@ pub fn wall_radius(surface: &Surface, cut: &Section, centre: &Point2<f64>, radiu
         let arm = (cut.frame.flat(&p) - centre) / radius;
         // Far along a long triangle the wall may be anything; far off it is another branch's.
         let near = along.abs() < 0.75 && (0.2..4.0).contains(&arm.norm());
-        near.then(|| (arm.y.atan2(arm.x), arm.norm_squared(), along))
+        near.then(|| (arm.y.atan2(arm.x), arm, along))
     };
-    let mut wall: Vec<(f64, f64, f64)> = vertices.into_iter().filter_map(place).collect();
+    let mut wall: Vec<(f64, Vector2<f64>, f64)> = vertices.into_iter().filter_map(place).collect();
     if wall.len() < 2 * TERMS {
         return radius;
     }
-    wall.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
+    wall.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut normal = SMatrix::<f64, TERMS, TERMS>::zeros();
     let mut right = SVector::<f64, TERMS>::zeros();
-    for (k, &(angle, square, along)) in wall.iter().enumerate() {
+    for (k, &(_, arm, along)) in wall.iter().enumerate() {
         let before = wall[(k + wall.len() - 1) % wall.len()].0;
         let after = wall[(k + 1) % wall.len()].0;
         let share = (after - before).rem_euclid(std::f64::consts::TAU);
         let mut row = SVector::<f64, TERMS>::zeros();
         row[0] = 1.0;
+        let unit = arm.normalize();
+        let mut turned = Vector2::x();
         for harmonic in 1..=4 {
-            let (sin, cos) = (harmonic as f64 * angle).sin_cos();
-            (row[2 * harmonic - 1], row[2 * harmonic]) = (cos, sin);
+            turned =
+                Vector2::new(turned.x * unit.x - turned.y * unit.y, turned.x * unit.y + turned.y * unit.x);
+            (row[2 * harmonic - 1], row[2 * harmonic]) = (turned.x, turned.y);
         }
         row[TERMS - 1] = along;
-        normal += row * row.transpose() * share;
-        right += row * (share * square);
+        // Its lower half is all that is read.
+        normal.syger(share, &row, &row, 1.0);
+        right += row * (share * arm.norm_squared());
     }
     // Holds what the vertices leave open (a single ring says nothing of the slope).
     for term in 1..TERMS {

@@ -1,6 +1,8 @@
 //! Cross-sections: the closed polygon in which a plane cuts the wall around one branch.
 
+use std::cell::OnceCell;
 use std::f64::consts::TAU;
+use std::sync::LazyLock;
 
 use nalgebra::{Point2, Point3, Unit, Vector2, Vector3};
 
@@ -61,6 +63,8 @@ pub struct Section {
     pub points: Vec<Point2<f64>>,
     /// The triangle that each side (from a corner to the next) lies in.
     pub triangles: Vec<u32>,
+    /// Made when they are first asked for.
+    normals: OnceCell<Vec<Vector3<f64>>>,
 }
 
 /// Area, centroid and shape of a section.
@@ -91,18 +95,21 @@ pub fn section(surface: &Surface, frame: Frame, seed: u32) -> Option<Section> {
     let mut points = Vec::new();
     let mut triangles = Vec::new();
     let mut h = start;
+    // The ends of the half-edge at hand, below and above the plane.
+    let end = |v: u32| (surface.mesh.vertices[v as usize], side(v));
+    let (mut below, mut above) = (end(corners.origin(h)), end(corners.target(h)));
     loop {
-        let (a, b) = (corners.origin(h), corners.target(h));
-        let (low, high) = (side(a), side(b));
-        let (pa, pb) = (surface.mesh.vertices[a as usize], surface.mesh.vertices[b as usize]);
+        let ((pa, low), (pb, high)) = (below, above);
         points.push(frame.flat(&(pa + (pb - pa) * (low / (low - high)))));
         let beyond = corners.opposite(h);
         triangles.push(beyond / 3);
         // The apex of the triangle beyond decides through which side the plane leaves it.
         let (first, second) = (next(beyond), next(next(beyond)));
-        h = if side(corners.target(first)) >= 0.0 { first } else { second };
+        let apex = end(corners.target(first));
+        h = if apex.1 >= 0.0 { first } else { second };
+        *(if apex.1 >= 0.0 { &mut above } else { &mut below }) = apex;
         if h == start {
-            return Some(Section { frame, points, triangles });
+            return Some(Section { frame, points, triangles, normals: OnceCell::new() });
         }
         if points.len() > corners.half_edges() {
             return None;
@@ -141,6 +148,15 @@ impl Section {
     /// A few of its triangles, evenly around.
     pub fn seeds(&self) -> [u32; SEEDS] {
         std::array::from_fn(|i| self.triangles[i * self.triangles.len() / SEEDS])
+    }
+
+    /// The unit normal of the triangle that each side lies in, out of the lumen; zero of one without area.
+    pub fn normals(&self, surface: &Surface) -> &[Vector3<f64>] {
+        let normal = |&t: &u32| {
+            let [a, b, c] = surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize]);
+            (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_else(Vector3::zeros)
+        };
+        self.normals.get_or_init(|| self.triangles.iter().map(normal).collect())
     }
 
     /// Area and centroid of the polygon (Green's theorem).
@@ -204,21 +220,28 @@ impl Profile {
 
     /// The nearest wall in each direction from `centre`, which the section must enclose.
     pub fn of(section: &Section, centre: &Point2<f64>, fallback: f64) -> Self {
+        const WIDTH: f64 = TAU / Profile::BINS as f64;
+        static DIRECTIONS: LazyLock<[Vector2<f64>; Profile::BINS]> = LazyLock::new(|| {
+            std::array::from_fn(|bin| Vector2::new((bin as f64 * WIDTH).cos(), (bin as f64 * WIDTH).sin()))
+        });
         let mut radii = [f64::INFINITY; Self::BINS];
+        let first = section.points.first().map_or(Vector2::x(), |p| p - centre);
+        // Each side begins in the direction in which the one before ends.
+        let mut to = first.y.atan2(first.x);
         for (p, q, _) in section.sides() {
             let (a, b) = (p - centre, q - centre);
-            let (from, turn) = (a.y.atan2(a.x), signed_angle(&a, &b));
-            let (low, high) = if turn >= 0.0 { (from, from + turn) } else { (from + turn, from) };
-            let width = TAU / Self::BINS as f64;
-            let mut bin = (low / width).ceil() as i64;
-            while (bin as f64) * width <= high {
-                let direction = Vector2::new((bin as f64 * width).cos(), (bin as f64 * width).sin());
+            let from = to;
+            to += signed_angle(&a, &b);
+            let (low, high) = (from.min(to), from.max(to));
+            let mut bin = (low / WIDTH).ceil() as i64;
+            while (bin as f64) * WIDTH <= high {
+                let place = bin.rem_euclid(Self::BINS as i64) as usize;
+                let direction = DIRECTIONS[place];
                 let d = b - a;
                 let denominator = direction.x * d.y - direction.y * d.x;
                 if denominator.abs() > 0.0 {
                     let reach = (a.x * d.y - a.y * d.x) / denominator;
-                    let slot = &mut radii[bin.rem_euclid(Self::BINS as i64) as usize];
-                    *slot = slot.min(reach.max(0.0));
+                    radii[place] = radii[place].min(reach.max(0.0));
                 }
                 bin += 1;
             }
@@ -270,7 +293,17 @@ impl Profile {
 
 /// Angle from `a` to `b`, in -pi..pi.
 pub fn signed_angle(a: &Vector2<f64>, b: &Vector2<f64>) -> f64 {
-    (a.x * b.y - a.y * b.x).atan2(a.dot(b))
+    /// Below this tangent the arc tangent's series is exact with these terms, to the last digit; nearly all sides
+    /// are that short.
+    const SMALL: f64 = 0.1;
+    const TERMS: [f64; 7] = [1.0 / 15.0, 1.0 / 13.0, 1.0 / 11.0, 1.0 / 9.0, 1.0 / 7.0, 1.0 / 5.0, 1.0 / 3.0];
+    let (cross, dot) = (a.x * b.y - a.y * b.x, a.dot(b));
+    if cross.abs() < SMALL * dot {
+        let tangent = cross / dot;
+        let square = tangent * tangent;
+        return tangent * (1.0 - TERMS.iter().fold(0.0, |sum, term| square * (term - sum)));
+    }
+    cross.atan2(dot)
 }
 
 #[cfg(test)]

@@ -23,6 +23,27 @@ const LEAST: f64 = 0.12;
 /// Wall whose normal leans more than this (sine) out of the section is a cap or another branch.
 const LEAN: f64 = 0.75;
 
+/// A side of a section that is wall, not cap.
+struct WallSide {
+    ends: [Point2<f64>; 2],
+    middle: Point2<f64>,
+    /// Of the wall, unit, in the section's plane.
+    normal: Vector2<f64>,
+}
+
+/// The sides of a section that are wall.
+fn wall_sides(surface: &Surface, cut: &Section) -> Vec<WallSide> {
+    let mut wall = Vec::with_capacity(cut.points.len());
+    for ((p, q, _), normal) in cut.sides().zip(cut.normals(surface)) {
+        if let Some((normal, lean)) = plane_normal(cut, normal)
+            && lean <= LEAN
+        {
+            wall.push(WallSide { ends: [p, q], middle: nalgebra::center(&p, &q), normal });
+        }
+    }
+    wall
+}
+
 /// A piece of a section's wall.
 struct WallPiece {
     middle: Point2<f64>,
@@ -37,23 +58,21 @@ pub struct Agreement {
     pub support: f64,
 }
 
-/// Compares a section with the profile expected around `centre`; `gate` in local radii.
-fn agreement(
-    surface: &Surface,
-    cut: &Section,
-    centre: Point2<f64>,
-    expected: &Profile,
-    gate: f64,
-) -> Agreement {
-    let mut pieces = Vec::new();
+/// Compares a section's wall with the profile expected around `centre`; `gate` in local radii.
+fn agreement(wall: &[WallSide], centre: Point2<f64>, expected: &Profile, gate: f64) -> Agreement {
+    let mut pieces = Vec::with_capacity(wall.len());
     let mut support = 0.0;
-    for (p, q, t) in cut.sides() {
-        let middle = nalgebra::center(&p, &q);
+    for &WallSide { ends: [p, q], middle, normal } in wall {
         let arm = middle - centre;
-        let Some(direction) = arm.try_normalize(0.0) else { continue };
-        let Some((normal, lean)) = plane_normal(surface, cut, t) else { continue };
+        let distance = arm.norm();
+        let direction = arm / distance;
+        // Not so at the centre itself.
+        let faces = normal.dot(&direction) >= 0.6;
+        if !faces {
+            continue;
+        }
         let radius = expected.at(&direction);
-        if lean > LEAN || normal.dot(&direction) < 0.6 || (arm.norm() - radius).abs() > gate * radius {
+        if (distance - radius).abs() > gate * radius {
             continue;
         }
         let share = signed_angle(&(p - centre), &(q - centre)).abs() / TAU;
@@ -64,9 +83,7 @@ fn agreement(
 }
 
 /// A triangle's normal in the section's plane, and how much (sine) it leaned out of it.
-fn plane_normal(surface: &Surface, cut: &Section, t: u32) -> Option<(Vector2<f64>, f64)> {
-    let [a, b, c] = surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize]);
-    let normal = (b - a).cross(&(c - a)).try_normalize(0.0)?;
+fn plane_normal(cut: &Section, normal: &Vector3<f64>) -> Option<(Vector2<f64>, f64)> {
     let flat = Vector2::new(normal.dot(&cut.frame.u), normal.dot(&cut.frame.v)).try_normalize(1e-9)?;
     Some((flat, normal.dot(&cut.frame.t).abs()))
 }
@@ -82,9 +99,7 @@ fn is_square(surface: &Surface, cut: &Section) -> bool {
 /// eigenvalue of their covariance (eq. 9), on the side of the section's normal.
 pub fn wall_axis(surface: &Surface, cut: &Section) -> Vector3<f64> {
     let mut covariance = Matrix3::zeros();
-    for (p, q, t) in cut.sides() {
-        let [a, b, c] = surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize]);
-        let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) else { continue };
+    for ((p, q, _), normal) in cut.sides().zip(cut.normals(surface)) {
         covariance += normal * normal.transpose() * (q - p).norm();
     }
     let eigen = covariance.symmetric_eigen();
@@ -101,11 +116,12 @@ pub fn judge(surface: &Surface, station: &mut Station, cut: &Section, expected: 
     let sound = measure.area > 0.0 && cut.encloses(&measure.centroid);
     let growth = measure.radius() / mean;
     if sound && (1.0 - GATE..1.0 + GATE).contains(&growth) {
-        let seen = agreement(surface, cut, measure.centroid, &expected.scaled(growth), GATE);
+        let wall = wall_sides(surface, cut);
+        let seen = agreement(&wall, measure.centroid, &expected.scaled(growth), GATE);
         if seen.support >= CLEAN && is_square(surface, cut) {
             accept_clean(surface, station, cut, measure.centroid, measure.radius());
             if seen.support < WHOLE {
-                leave_out(surface, station, cut, &expected.scaled(growth));
+                leave_out(&wall, station, cut, &expected.scaled(growth));
             }
             return;
         }
@@ -119,10 +135,10 @@ pub fn judge_end(surface: &Surface, station: &mut Station, cut: &Section, expect
     const GROWTH: std::ops::Range<f64> = 0.6..1.5;
     let measure = cut.measure();
     let (mut wall, mut all) = (0.0, 0.0);
-    for (p, q, t) in cut.sides() {
+    for ((p, q, _), normal) in cut.sides().zip(cut.normals(surface)) {
         let length = (q - p).norm();
         all += length;
-        if plane_normal(surface, cut, t).is_some_and(|(_, lean)| lean <= LEAN) {
+        if plane_normal(cut, normal).is_some_and(|(_, lean)| lean <= LEAN) {
             wall += length;
         }
     }
@@ -154,13 +170,13 @@ pub fn accept_clean(
 }
 
 /// Centres a clean section by the part of it that agrees: what does not is the mouth of a branch.
-fn leave_out(surface: &Surface, station: &mut Station, cut: &Section, expected: &Profile) {
+fn leave_out(wall: &[WallSide], station: &mut Station, cut: &Section, expected: &Profile) {
     const ROUNDS: usize = 3;
     let mut profile = expected.clone();
     let mut centre = Point2::origin();
     for _ in 0..ROUNDS {
-        (centre, _, _) = fit_centre(surface, cut, &profile, centre);
-        let seen = agreement(surface, cut, centre, &profile, GATE);
+        (centre, _, _) = fit_centre(wall, &profile, centre);
+        let seen = agreement(wall, centre, &profile, GATE);
         let (mut all, mut grown) = (0.0, 0.0);
         for piece in &seen.pieces {
             let arm = piece.middle - centre;
@@ -181,7 +197,8 @@ fn leave_out(surface: &Surface, station: &mut Station, cut: &Section, expected: 
 /// distances along the normals (the partial wall's form of eq. 10).
 fn fit_part(surface: &Surface, station: &mut Station, cut: &Section, expected: &Profile) {
     let mean = expected.mean();
-    let (centre, information, support) = fit_centre(surface, cut, expected, Point2::origin());
+    let wall = wall_sides(surface, cut);
+    let (centre, information, support) = fit_centre(&wall, expected, Point2::origin());
     station.frame = cut.frame;
     station.profile = expected.clone();
     station.section_radius = mean;
@@ -205,15 +222,10 @@ fn fit_part(surface: &Surface, station: &mut Station, cut: &Section, expected: &
 
 /// Where the expected wall lies on the part of the section that agrees with it: its centre, how firmly that
 /// part holds it, and the share of the circle that it is.
-fn fit_centre(
-    surface: &Surface,
-    cut: &Section,
-    expected: &Profile,
-    start: Point2<f64>,
-) -> (Point2<f64>, Matrix2<f64>, f64) {
+fn fit_centre(wall: &[WallSide], expected: &Profile, start: Point2<f64>) -> (Point2<f64>, Matrix2<f64>, f64) {
     let mut centre = start;
     let mean = expected.mean();
-    let mut seen = agreement(surface, cut, centre, expected, 1.6 * GATE);
+    let mut seen = agreement(wall, centre, expected, 1.6 * GATE);
     let mut information = Matrix2::zeros();
     for round in 0..6 {
         if seen.support < LEAST {
@@ -236,7 +248,7 @@ fn fit_centre(
         let limit = 0.25 * mean / step.norm().max(0.25 * mean);
         centre += step * limit;
         let gate = if round < 2 { 1.6 * GATE } else { GATE };
-        seen = agreement(surface, cut, centre, expected, gate);
+        seen = agreement(wall, centre, expected, gate);
     }
     (centre, information, seen.support)
 }

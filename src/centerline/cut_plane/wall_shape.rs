@@ -4,11 +4,11 @@
 //! thinner. So distances of vertices from the axis are fitted with the wall's mean, its slope along the
 //! axis, and its first two harmonics around it; noise and stairs average out.
 
-use nalgebra::{Point2, SMatrix, SVector, Vector2};
+use nalgebra::{Point2, SMatrix, SVector, Vector2, Vector3};
 
 use crate::mesh::preparation::Surface;
 
-use crate::centerline::cut_plane::section::Section;
+use crate::centerline::cut_plane::section::{Section, signed_angle};
 
 /// Terms of the fit: mean, cos, sin, cos 2, sin 2, slope along the axis, and the bend of the axis (cos, sin).
 const TERMS: usize = 8;
@@ -62,9 +62,9 @@ impl WallShape {
     /// `radius` is the section's own, for sections of too few vertices.
     pub fn of(surface: &Surface, cut: &Section, centre: &Point2<f64>, radius: f64) -> Self {
         // A cap's vertices say nothing of the wall.
-        let wall = cut.triangles.iter().map(|&t| surface.mesh.triangles[t as usize]);
-        let wall = wall.filter(|corners| lean(surface, corners, cut) < CAP);
-        let mut vertices: Vec<u32> = wall.flatten().collect();
+        let wall =
+            cut.triangles.iter().zip(cut.normals(surface)).filter(|(_, normal)| lean(cut, normal) < CAP);
+        let mut vertices: Vec<u32> = wall.flat_map(|(&t, _)| surface.mesh.triangles[t as usize]).collect();
         vertices.sort_unstable();
         vertices.dedup();
         let grain = grain(surface, cut);
@@ -83,7 +83,8 @@ impl WallShape {
                 continue;
             }
             let row = row(&(arm / distance), along / radius);
-            normal += row * row.transpose();
+            // Its lower half is all that is read.
+            normal.syger(1.0, &row, &row, 1.0);
             right += row * distance;
             squares += distance * distance;
             count += 1;
@@ -149,9 +150,8 @@ impl WallShape {
 }
 
 /// How much (sine) a triangle leans out of the wall into the section's plane: 0 along the axis, 1 across it.
-fn lean(surface: &Surface, corners: &[u32; 3], cut: &Section) -> f64 {
-    let [a, b, c] = corners.map(|v| surface.mesh.vertices[v as usize]);
-    (b - a).cross(&(c - a)).try_normalize(0.0).map_or(1.0, |normal| normal.dot(&cut.frame.t).abs())
+fn lean(cut: &Section, normal: &Vector3<f64>) -> f64 {
+    if *normal == Vector3::zeros() { 1.0 } else { normal.dot(&cut.frame.t).abs() }
 }
 
 /// The terms at a vertex in direction `arm` (unit) from the centre.
@@ -166,8 +166,7 @@ fn polygon_offset(cut: &Section, centre: &Point2<f64>) -> [f64; 2] {
     let mut sum = Vector2::zeros();
     for (p, q, _) in cut.sides() {
         let (a, b) = (p - centre, q - centre);
-        let angle = (a.x * b.y - a.y * b.x).atan2(a.dot(&b));
-        sum += (a + b) * (0.5 * angle);
+        sum += (a + b) * (0.5 * signed_angle(&a, &b));
     }
     // Twice the mean over the circle.
     (sum / std::f64::consts::PI).into()
