@@ -1,6 +1,7 @@
 //! The whole extraction of a phantom tree, without reading and writing: both presets, two sizes.
 //!
 //! `cargo bench --bench extract`
+#![allow(clippy::panic, reason = "a bench")]
 
 use std::hint::black_box;
 use std::time::Duration;

@@ -1,5 +1,5 @@
 //! The metrics over whole files: shared known centerlines, where they stand beside the project.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 mod common;
 

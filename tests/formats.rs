@@ -1,5 +1,5 @@
 //! Readers: the shared meshes, one surface as other tools write it, and files that lie.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 mod common;
 

@@ -1,5 +1,5 @@
 //! glTF and GLB: nodes, primitives, accessors, and what is refused.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use nalgebra::Point3;
 use rosaline::mesh::TriangleMesh;

@@ -1,6 +1,6 @@
 //! Files that lie, are cut or are damaged: always a typed error or a sound mesh, in bounded time
 //! and memory. One test, alone in its process, so that the process's memory is that of the readers.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::panic;
 use std::path::{Path, PathBuf};

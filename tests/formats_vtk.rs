@@ -1,5 +1,5 @@
 //! VTP and legacy VTK: what their rules allow beyond what VTK itself writes, and what is refused.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;

@@ -1,5 +1,5 @@
 //! A database that reports errors for changes that it has committed, and one with a row that cannot be read.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 #[allow(dead_code)] // Each test file uses its own part.
 mod jobs_fakes;

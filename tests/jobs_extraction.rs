@@ -1,5 +1,5 @@
 //! The queue with the real runner: meshes in, centerlines out.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 #[allow(dead_code)] // Each test file uses its own part.
 mod jobs_fakes;

@@ -1,5 +1,5 @@
 //! A disk that is really full: a small tmpfs. Needs the right to mount, else it skips.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 #[allow(dead_code)] // Each test file uses its own part.
 mod jobs_fakes;

@@ -1,5 +1,5 @@
 //! What the queue's log says, at its most talkative: job ids, never a mesh's name or content.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 #[allow(dead_code)] // Each test file uses its own part.
 mod jobs_fakes;

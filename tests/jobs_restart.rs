@@ -1,5 +1,5 @@
 //! SIGKILL and crashes of a process with a job queue, and what the next process finds.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 #[allow(dead_code)] // Each test file uses its own part.
 mod jobs_fakes;

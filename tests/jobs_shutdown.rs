@@ -1,5 +1,5 @@
 //! Orderly stops of the job queue, and disks that fail under it.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 #[allow(dead_code)] // Each test file uses its own part.
 mod jobs_fakes;

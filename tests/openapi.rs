@@ -1,5 +1,5 @@
 //! openapi.yaml against the code, and against the service that runs.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 #[path = "common/service.rs"]
 #[allow(dead_code, reason = "shared with the tests of the service, which use all of it")]

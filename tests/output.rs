@@ -1,6 +1,6 @@
 //! Results as other programs read them: the Khronos validator, three.js, the gltf crate and
 //! the schema.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 #[path = "common/gltf_checker.rs"]
 mod gltf_checker;

@@ -1,5 +1,5 @@
 //! Phantoms of many seeds: surfaces that are what their known centerline says.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::collections::HashMap;
 

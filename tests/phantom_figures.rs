@@ -4,7 +4,7 @@
 //! ```sh
 //! ROSALINE_RENEW_FIGURES=1 cargo test --test phantom_figures
 //! ```
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 mod common;
 

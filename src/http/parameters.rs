@@ -3,6 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use axum::extract::Query;
+use axum::http::Uri;
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 use serde_json::Value;
 use serde_json::error::Category;
@@ -71,6 +73,41 @@ impl Asked {
         };
         Ok(Self { units, name, parameters, client_reference, priority, dry_run })
     }
+}
+
+/// The decoded query, in order.
+///
+/// # Errors
+/// 400 where it is no query, or not UTF-8: what is no text must not be kept as another one.
+pub fn query_pairs(uri: &Uri) -> Result<Vec<(String, String)>, Problem> {
+    if !is_utf8(uri.query().unwrap_or_default()) {
+        return Err(Problem::new(&MALFORMED_REQUEST, "the query is not UTF-8; encode its text as UTF-8"));
+    }
+    let query = Query::<Vec<(String, String)>>::try_from_uri(uri);
+    query
+        .map(|Query(pairs)| pairs)
+        .map_err(|error| Problem::new(&MALFORMED_REQUEST, format!("the query cannot be read: {error}")))
+}
+
+/// Whether a query is UTF-8 once its percent signs are resolved.
+fn is_utf8(query: &str) -> bool {
+    let bytes = query.as_bytes();
+    let (mut decoded, mut at) = (Vec::with_capacity(bytes.len()), 0);
+    while let Some(&byte) = bytes.get(at) {
+        let digits = bytes.get(at + 1..at + 3).filter(|digits| digits.iter().all(u8::is_ascii_hexdigit));
+        let escaped = digits.and_then(|digits| u8::from_str_radix(str::from_utf8(digits).ok()?, 16).ok());
+        match (byte, escaped) {
+            (b'%', Some(value)) => {
+                decoded.push(value);
+                at += 3;
+            }
+            _ => {
+                decoded.push(byte);
+                at += 1;
+            }
+        }
+    }
+    str::from_utf8(&decoded).is_ok()
 }
 
 /// An object's members in order, with those that have one name.

@@ -3,13 +3,11 @@
 mod body;
 mod multipart;
 
-use axum::extract::{Query, Request};
+use axum::extract::Request;
 use axum::http::{HeaderMap, header};
 
-use super::parameters::Asked;
-use super::problem::{
-    MALFORMED_REQUEST, Problem, UNSUPPORTED_CODING, UNSUPPORTED_MEDIA_TYPE, UPLOAD_TOO_LARGE,
-};
+use super::parameters::{Asked, query_pairs};
+use super::problem::{Problem, UNSUPPORTED_CODING, UNSUPPORTED_MEDIA_TYPE, UPLOAD_TOO_LARGE};
 use super::{App, digest};
 use crate::jobs::{FormatHint, Upload};
 
@@ -42,7 +40,7 @@ pub struct Received {
 pub async fn receive(app: &App, request: Request) -> Result<Received, Problem> {
     let content_type = content_type(request.headers())?;
     refuse_coding(request.headers())?;
-    let query = query_pairs(&request)?;
+    let query = query_pairs(request.uri())?;
     // Refuses a wrong query before the body is read.
     Asked::from_pairs(&query, app.limits())?;
     let is_form = content_type == FORM_TYPE;
@@ -83,41 +81,6 @@ fn refuse_coding(headers: &HeaderMap) -> Result<(), Problem> {
     }
     let detail = "a compressed body is not read; send the mesh as it is, without Content-Encoding";
     Err(Problem::new(&UNSUPPORTED_CODING, detail).header(header::ACCEPT_ENCODING, "identity"))
-}
-
-/// The decoded query, in order.
-///
-/// # Errors
-/// 400 where it is no query, or not UTF-8: what is no text must not be kept as another one.
-pub fn query_pairs(request: &Request) -> Result<Vec<(String, String)>, Problem> {
-    if !is_utf8(request.uri().query().unwrap_or_default()) {
-        return Err(Problem::new(&MALFORMED_REQUEST, "the query is not UTF-8; encode its text as UTF-8"));
-    }
-    let query = Query::<Vec<(String, String)>>::try_from_uri(request.uri());
-    query
-        .map(|Query(pairs)| pairs)
-        .map_err(|error| Problem::new(&MALFORMED_REQUEST, format!("the query cannot be read: {error}")))
-}
-
-/// Whether a query is UTF-8 once its percent signs are resolved.
-fn is_utf8(query: &str) -> bool {
-    let bytes = query.as_bytes();
-    let (mut decoded, mut at) = (Vec::with_capacity(bytes.len()), 0);
-    while let Some(&byte) = bytes.get(at) {
-        let digits = bytes.get(at + 1..at + 3).filter(|digits| digits.iter().all(u8::is_ascii_hexdigit));
-        let escaped = digits.and_then(|digits| u8::from_str_radix(str::from_utf8(digits).ok()?, 16).ok());
-        match (byte, escaped) {
-            (b'%', Some(value)) => {
-                decoded.push(value);
-                at += 3;
-            }
-            _ => {
-                decoded.push(byte);
-                at += 1;
-            }
-        }
-    }
-    str::from_utf8(&decoded).is_ok()
 }
 
 /// Refuses what declares itself too large, before any of it is read.

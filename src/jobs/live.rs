@@ -10,7 +10,8 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use tokio::sync::watch;
 
-use super::{Job, JobId};
+use super::timeline::Timeline;
+use super::{Job, JobId, JobStatus};
 use crate::centerline::{CancelToken, Part, Stage};
 
 /// The stages of a job: the method's, between reading the mesh and writing the results.
@@ -47,7 +48,16 @@ impl JobStage {
         }
     }
 
-    fn index(self) -> usize {
+    /// How many stages there are.
+    pub(super) const COUNT: usize = ENDS.len();
+
+    /// Every stage, in order.
+    pub(super) fn all() -> impl Iterator<Item = Self> {
+        ENDS.iter().map(|(stage, _)| *stage)
+    }
+
+    /// Its place in that order.
+    pub(super) fn index(self) -> usize {
         ENDS.iter().position(|(stage, _)| *stage == self).unwrap_or(0)
     }
 }
@@ -94,6 +104,8 @@ pub(super) struct Entry {
     row: OnceLock<Job>,
     /// When the row last changed in the store.
     updated: AtomicI64,
+    /// Of a job that runs here.
+    timeline: OnceLock<Timeline>,
 }
 
 impl Entry {
@@ -104,6 +116,7 @@ impl Entry {
             changes: watch::Sender::new(Snapshot::default()),
             row: OnceLock::new(),
             updated: AtomicI64::new(0),
+            timeline: OnceLock::new(),
         }
     }
 
@@ -114,6 +127,9 @@ impl Entry {
 
     /// Reports progress; reports that would go back are dropped. Any thread may call it, often.
     pub(super) fn report_part(&self, stage: JobStage, fraction: f64, part: Part) {
+        if let Some(timeline) = self.timeline.get() {
+            timeline.at(stage);
+        }
         let next = Snapshot::at(stage, fraction, part);
         if self.packed.fetch_max(next.packed, Ordering::Relaxed) < next.packed {
             self.changes.send_if_modified(|current| {
@@ -131,10 +147,24 @@ impl Entry {
     }
 
     /// The job runs here with this row, which the store had after the entry was made.
-    pub(super) fn runs(&self, row: &Job) {
+    pub(super) fn runs(&self, row: &Job, timeline: Timeline) {
         self.updated.store(row.updated, Ordering::Relaxed);
         // An entry is of one run, so nothing was there before.
-        let _ = self.row.set(row.clone());
+        let _ = (self.row.set(row.clone()), self.timeline.set(timeline));
+    }
+
+    /// The job has ended so.
+    pub(super) fn settled(&self, status: JobStatus) {
+        if let Some(timeline) = self.timeline.get() {
+            timeline.settled(status);
+        }
+    }
+
+    /// The run is over.
+    pub(super) fn left(&self) {
+        if let Some(timeline) = self.timeline.get() {
+            timeline.end();
+        }
     }
 
     /// The store's row was changed.
@@ -255,7 +285,7 @@ impl Drop for Watch {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::jobs::{IdSource, JobSpec, JobStatus, ManualClock, StoredInput};
+    use crate::jobs::{IdSource, JobSpec, ManualClock, StoredInput};
 
     fn id() -> JobId {
         IdSource::new(Arc::new(ManualClock::new(1)), None).next()
@@ -318,7 +348,7 @@ mod tests {
         let entry = board.start(id);
         assert_eq!(board.row(id), None, "claimed: the store knows until its worker has read the row");
         let running = Job { status: JobStatus::Running, updated: 6, ..accepted.clone() };
-        entry.runs(&running);
+        entry.runs(&running, Timeline::start(&running, Arc::default()));
         assert_eq!(board.row(id), Some(running.clone()));
         entry.touched(9);
         assert_eq!(board.row(id), Some(Job { updated: 9, ..running.clone() }));
@@ -328,7 +358,7 @@ mod tests {
         entry.touched(10);
         let late = board.start(id);
         board.end(id);
-        late.runs(&running);
+        late.runs(&running, Timeline::start(&running, Arc::default()));
         assert_eq!(board.row(id), None);
         board.accept(&accepted);
         board.end(id);

@@ -12,6 +12,7 @@
 //!
 //! Nothing here knows of HTTP, and nothing here logs a mesh's file name or content.
 
+mod backoff;
 pub mod blob;
 mod clock;
 mod coding;
@@ -22,6 +23,7 @@ mod folder;
 mod housekeeping;
 mod id;
 mod live;
+mod meter;
 mod model;
 mod panics;
 mod parameters;
@@ -35,6 +37,7 @@ mod service;
 mod settings;
 mod storage;
 pub mod store;
+mod timeline;
 mod worker;
 
 pub use clock::{Clock, ManualClock, SystemClock};
@@ -44,6 +47,7 @@ pub use failure::JobFailure;
 pub use folder::{DataFolder, FolderError};
 pub use id::{IdSource, JobId, ParseJobIdError};
 pub use live::JobStage;
+pub use meter::{Histogram, StageTimes};
 pub use model::{
     Counts, FileName, FormatHint, Idempotency, Job, JobSpec, JobStatus, Lease, Load, Origin, StoredArtifact,
     StoredInput, UnknownStatus,

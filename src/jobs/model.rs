@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Coding, JobFailure, JobId, ParameterValues, Priority};
+use super::{Coding, JobFailure, JobId, ParameterValues, Priority, StageTimes};
 use crate::centerline::Parameters;
 use crate::mesh::Units;
 use crate::output::OutputFormat;
@@ -282,14 +282,22 @@ pub struct Counts {
 }
 
 /// How much there is to do, and who does it.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Load {
     pub counts: Counts,
+    /// How often jobs have ended in each way since the start.
+    pub ends: Vec<(JobStatus, u64)>,
     /// How long the oldest waiting job has waited.
     pub queue_age: Duration,
     pub workers: usize,
+    /// Workers that have a job.
+    pub busy: usize,
     /// Workers that wait for a cancelled run which does not stop.
     pub held: usize,
+    /// Threads that compute, over all workers.
+    pub threads: usize,
+    /// Of the runs since the start.
+    pub stages: Vec<StageTimes>,
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use super::housekeeping::keep_reserve;
 use super::recovery::purge;
 use super::store::{StoreError, StoreFuture};
-use super::{Job, JobError, JobId, JobService};
+use super::{Job, JobError, JobId, JobService, JobStatus};
 
 /// What [`JobService::remove`] did.
 #[derive(Debug, Clone, PartialEq)]
@@ -49,6 +49,7 @@ impl JobService {
             board.end(id);
             // Others may have waited for it to go first.
             shared.wake.notify_one();
+            shared.meter.ended(JobStatus::Dismissed);
             tracing::info!(%id, "dismissed");
         }
         Ok(dismissed)

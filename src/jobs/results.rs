@@ -5,11 +5,12 @@ use std::ops::Range;
 use bytes::Bytes;
 use futures::StreamExt;
 
+use super::backoff::Backoff;
 use super::blob::BlobReader;
 use super::coding::LEAST;
 use super::live::Entry;
 use super::runner::Artifact;
-use super::worker::{Backoff, Worker};
+use super::worker::Worker;
 use super::{Coding, Job, JobError, JobId, JobService, JobStage, JobStatus, Lease, StoredArtifact};
 use crate::output::OutputFormat;
 
@@ -29,6 +30,7 @@ impl Worker {
             match self.write_results(job, lease, &artifacts).await {
                 Ok(true) => {
                     tracing::info!("successful");
+                    entry.settled(JobStatus::Successful);
                     return;
                 }
                 Ok(false) => return self.drop_unless_named(job, lease, &artifacts).await,

@@ -103,6 +103,7 @@ impl JobService {
             folder: storage.folder,
             wake: Notify::new(),
             held: AtomicUsize::new(0),
+            meter: Arc::default(),
             phase: watch::Sender::new(Phase::Open),
         });
         let workers: Result<Vec<Worker>, _> =
@@ -270,8 +271,12 @@ impl JobService {
         Ok(Load {
             counts: shared.store.counts().await?,
             queue_age: Duration::from_millis(age.unsigned_abs()),
+            ends: shared.meter.ends(),
             workers: shared.settings.workers.get(),
+            busy: shared.meter.busy(),
             held: shared.held.load(Ordering::Relaxed),
+            threads: shared.settings.workers.get() * shared.settings.threads_per_worker.get(),
+            stages: shared.meter.stages(),
         })
     }
 

@@ -13,16 +13,17 @@ use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use tokio::sync::{Notify, oneshot, watch};
 use tracing::Instrument;
 
+use super::backoff::Backoff;
 use super::blob::{BlobError, BlobStore};
 use super::live::{Board, Entry, Snapshot};
+use super::meter::Meter;
 use super::runner::{Artifact, JobRunner, RunControl, Work};
 use super::store::{JobStore, StoreError};
-use super::{Clock, DataFolder, Job, JobFailure, JobStage, Lease, Settings};
+use super::timeline::Timeline;
+use super::{Clock, DataFolder, Job, JobFailure, JobStage, JobStatus, Lease, Settings};
 
 /// How long a cancelled run may take to stop before its job is settled without it.
 const STOP_WITHIN: Duration = Duration::from_secs(2);
-const FIRST_RETRY: Duration = Duration::from_millis(100);
-const LAST_RETRY: Duration = Duration::from_secs(5);
 /// Tries to read an input before its job fails.
 const READS: u32 = 5;
 /// The stack of a pool's thread, bytes.
@@ -51,6 +52,7 @@ pub(super) struct Shared {
     pub(super) wake: Notify,
     /// Workers that wait for a run which does not obey its cancellation.
     pub(super) held: AtomicUsize,
+    pub(super) meter: Arc<Meter>,
     pub(super) phase: watch::Sender<Phase>,
 }
 
@@ -62,21 +64,6 @@ enum Outcome {
     Stuck(oneshot::Receiver<Outcome>),
     /// It took longer than a run may; where it goes on all the same, ready when it ends.
     OutOfTime(Option<oneshot::Receiver<Outcome>>),
-}
-
-/// Waits that grow, between tries of something that should come right by itself.
-pub(super) struct Backoff(Duration);
-
-impl Backoff {
-    pub(super) fn new() -> Self {
-        Self(FIRST_RETRY)
-    }
-
-    pub(super) fn next(&mut self) -> Duration {
-        let wait = self.0;
-        self.0 = (self.0 * 2).min(LAST_RETRY);
-        wait
-    }
 }
 
 pub(super) struct Worker {
@@ -158,8 +145,10 @@ impl Worker {
         tracing::info!(attempt = job.attempts, bytes = job.input.size, "started");
         let entry = self.shared.board.start(job.id);
         let mut left = None;
+        let meter = self.shared.meter.clone();
+        let _busy = meter.begin();
         if self.holds(&job, lease).await {
-            entry.runs(&job);
+            entry.runs(&job, Timeline::start(&job, meter.clone()));
             match self.read_input(&job, &entry).await {
                 Some(Ok(bytes)) => {
                     let outcome = self.compute(&job, lease, &entry, bytes).await;
@@ -169,6 +158,7 @@ impl Worker {
                 Some(Err(failure)) => self.fail(&job, lease, &entry, failure).await,
                 None => self.abandon(&job, lease).await,
             }
+            entry.left();
         }
         self.shared.board.end(job.id);
         if let Some(run) = left {
@@ -309,7 +299,8 @@ impl Worker {
         let at = entry.subscribe().borrow().progress();
         loop {
             match self.write_failure(job, lease, at, &failure).await {
-                Ok(_) => return,
+                Ok(true) => return entry.settled(JobStatus::Failed),
+                Ok(false) => return,
                 Err(error) => tracing::error!(%error, "cannot write the failure"),
             }
             if self.stops(entry) {

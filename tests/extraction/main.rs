@@ -1,5 +1,5 @@
 //! What the method promises whatever the mesh: tested against closed forms, on defects, and by properties.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 mod cancellation;
 mod closed_forms;

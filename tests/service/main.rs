@@ -1,5 +1,5 @@
 //! The real service over real sockets, with real faults.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 #[path = "../common/mod.rs"]
 mod common;
@@ -7,10 +7,14 @@ mod common;
 mod gltf_checker;
 #[path = "../common/meshes.rs"]
 mod meshes;
+#[path = "../common/mix.rs"]
+mod mix;
 #[path = "../common/service.rs"]
 mod service;
 #[path = "../common/small_disk.rs"]
 mod small_disk;
+#[path = "../common/wire.rs"]
+mod wire;
 
 mod admission;
 mod bombs;
@@ -21,6 +25,8 @@ mod dry_run;
 mod events;
 mod keys;
 mod listing;
+mod load;
+mod metrics;
 mod refusals;
 mod resend;
 mod restarts;

@@ -9,9 +9,9 @@ use super::super::App;
 use super::super::access::Caller;
 use super::super::document::{self, ListProblems};
 use super::super::limits::Limits;
+use super::super::parameters::query_pairs;
 use super::super::problem::{INVALID_PARAMETER, Problem, UNKNOWN_PARAMETER};
 use super::super::representation::{Link, ListDocument, StatusDocument};
-use super::super::upload::query_pairs;
 use crate::jobs::JobId;
 use crate::jobs::store::ListQuery;
 
@@ -29,7 +29,7 @@ use crate::jobs::store::ListQuery;
 )]
 pub async fn list(State(app): State<App>, caller: Caller, request: Request) -> Result<Response, Problem> {
     let owner = caller.bound_to().map(str::to_owned);
-    let query = ListQuery { owner, ..read(&query_pairs(&request)?, app.limits())? };
+    let query = ListQuery { owner, ..read(&query_pairs(request.uri())?, app.limits())? };
     let page = app.jobs().list(query.clone()).await?;
     let next = page.next.map(|cursor| next_path(&query, cursor));
     let document = ListDocument {

@@ -1,21 +1,18 @@
 //! `GET /metrics`
 
-use std::fmt::Write;
-
 use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 
 use super::super::document::{self, MetricsProblems};
+use super::super::exposition::{Exposition, MEDIA_TYPE};
 use super::super::{App, Problem};
 use crate::jobs::Load;
 
-/// Prometheus' text format.
-const MEDIA_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
-
 /// What the service does, for Prometheus
 ///
-/// Jobs by state, the queue's age, workers, uploaded bytes, and requests by route and status with their times.
+/// Jobs by state, the queue's age, workers and threads, the times of the method's stages by preset, bytes of meshes
+/// and results, and requests by route and status with their times. Labels are never a client's text.
 #[utoipa::path(
     get,
     path = "/metrics",
@@ -24,16 +21,16 @@ const MEDIA_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
     responses(document::Metrics, MetricsProblems)
 )]
 pub async fn metrics(State(app): State<App>) -> Result<Response, Problem> {
-    let mut text = String::new();
-    // Writing to a String does not fail.
-    let _ = write_load(&mut text, &app.jobs().load().await?);
+    let mut text = Exposition::default();
+    write_load(&mut text, &app.jobs().load().await?);
     app.counters().write(&mut text);
-    Ok(([(header::CONTENT_TYPE, MEDIA_TYPE), (header::CACHE_CONTROL, "no-store")], text).into_response())
+    let headers = [(header::CONTENT_TYPE, MEDIA_TYPE), (header::CACHE_CONTROL, "no-store")];
+    Ok((headers, text.into_text()).into_response())
 }
 
-fn write_load(text: &mut String, load: &Load) -> std::fmt::Result {
+fn write_load(text: &mut Exposition, load: &Load) {
     let counts = &load.counts;
-    writeln!(text, "# HELP rosaline_jobs Jobs that are kept, by state.\n# TYPE rosaline_jobs gauge")?;
+    text.gauge("jobs", "Jobs that are kept, by state.");
     for (state, jobs) in [
         ("accepted", counts.accepted),
         ("running", counts.running),
@@ -41,17 +38,24 @@ fn write_load(text: &mut String, load: &Load) -> std::fmt::Result {
         ("failed", counts.failed),
         ("dismissed", counts.dismissed),
     ] {
-        writeln!(text, "rosaline_jobs{{state=\"{state}\"}} {jobs}")?;
+        text.sample(&[("state", state)], jobs);
+    }
+    text.counter("jobs_ended_total", "Jobs that ended since the start, by how.");
+    for (state, jobs) in &load.ends {
+        text.sample(&[("state", state.name())], jobs);
     }
     for (name, help, value) in [
         ("queue_age_seconds", "How long the oldest waiting job has waited.", load.queue_age.as_secs_f64()),
         ("workers", "Jobs that may run at once.", load.workers as f64),
+        ("workers_busy", "Workers that have a job.", load.busy as f64),
         ("workers_held", "Workers that wait for a run which does not stop.", load.held as f64),
+        ("threads", "Threads that compute, over all workers.", load.threads as f64),
     ] {
-        writeln!(
-            text,
-            "# HELP rosaline_{name} {help}\n# TYPE rosaline_{name} gauge\nrosaline_{name} {value}"
-        )?;
+        text.gauge(name, help);
+        text.sample(&[], value);
     }
-    Ok(())
+    text.histogram("stage_seconds", "Time of a run in each of its stages, by preset.");
+    for row in &load.stages {
+        text.times(&[("preset", row.preset), ("stage", row.stage)], &row.times);
+    }
 }

@@ -1,11 +1,15 @@
 //! `GET /v1/jobs/{id}/results/centerline`, and with an extension.
 
+use std::io;
 use std::ops::Range;
 
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+use futures::TryStreamExt;
+use futures::stream::BoxStream;
 
 use super::super::document::{self, NegotiatedProblems, ResultProblems};
 use super::super::etag::ETag;
@@ -146,7 +150,7 @@ async fn open(
 
 async fn whole(app: &App, id: JobId, artifact: &StoredArtifact) -> Result<Response, Problem> {
     let blob = open(app, id, artifact, None).await?;
-    Ok(described(StatusCode::OK, artifact, blob.size, Body::from_stream(blob.stream)))
+    Ok(described(StatusCode::OK, artifact, blob.size, counted(app, blob.stream)))
 }
 
 async fn partial(
@@ -157,12 +161,17 @@ async fn partial(
 ) -> Result<Response, Problem> {
     let blob = open(app, id, artifact, Some(part.clone())).await?;
     let length = part.end - part.start;
-    let mut response =
-        described(StatusCode::PARTIAL_CONTENT, artifact, length, Body::from_stream(blob.stream));
+    let mut response = described(StatusCode::PARTIAL_CONTENT, artifact, length, counted(app, blob.stream));
     if let Ok(value) = HeaderValue::try_from(range::content_range(&part, blob.size)) {
         response.headers_mut().insert(header::CONTENT_RANGE, value);
     }
     Ok(response)
+}
+
+/// A result's bytes, counted as they go out.
+fn counted(app: &App, stream: BoxStream<'static, io::Result<Bytes>>) -> Body {
+    let counters = app.counters().clone();
+    Body::from_stream(stream.inspect_ok(move |chunk| counters.sent(chunk.len())))
 }
 
 fn described(status: StatusCode, artifact: &StoredArtifact, length: u64, body: Body) -> Response {

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use axum::body::Body;
 use bytes::{Bytes, BytesMut};
-use futures::{Stream, StreamExt, stream};
+use futures::{Stream, StreamExt, TryStreamExt, stream};
 use tokio::time::Instant;
 
 use super::super::App;
@@ -29,7 +29,9 @@ where
 {
     let limits = app.limits();
     // Fused: a short body ends while its beginning is read.
-    let mut bytes = Box::pin(unless_idle(bytes, limits.upload_idle).fuse());
+    let counters = app.counters().clone();
+    let counted = bytes.inspect_ok(move |chunk| counters.received(chunk.len()));
+    let mut bytes = Box::pin(unless_idle(counted, limits.upload_idle).fuse());
     let begin = beginning(&mut bytes).await.map_err(|error| refusal(app, BlobError::Upload(error).into()))?;
     if let Some(error) = plainly_foreign(&begin) {
         return Err(validation::refusal(&error));

@@ -146,16 +146,23 @@ pub struct Hint<'a> {
 /// [`ReadError`] when the bytes are no mesh, break their format's rules, or exceed `limits`.
 pub fn read(bytes: &[u8], hint: Hint<'_>, limits: &Limits) -> Result<(TriangleMesh, Format), ReadError> {
     let format = sniff::sniff(bytes, hint)?;
-    let mesh = match format {
-        Format::StlBinary => stl::read_binary(bytes, limits)?,
-        Format::StlAscii => stl::read_ascii(bytes, limits)?,
-        Format::Obj => obj::read(bytes, limits)?,
-        Format::Ply => ply::read(bytes, limits)?,
-        Format::Gltf => gltf::read_json(bytes, limits)?,
-        Format::Glb => gltf::read_glb(bytes, limits)?,
-        Format::Vtp => vtp::read(bytes, limits)?,
-        Format::Vtk => vtk::read(bytes, limits)?,
-        Format::Off => off::read(bytes, limits)?,
-    };
-    Ok((mesh, format))
+    Ok((read_as(bytes, format, limits)?, format))
+}
+
+/// [`read`] of bytes whose format is known.
+///
+/// # Errors
+/// [`ReadError`] when the bytes break the format's rules or exceed `limits`.
+pub fn read_as(bytes: &[u8], format: Format, limits: &Limits) -> Result<TriangleMesh, ReadError> {
+    match format {
+        Format::StlBinary => stl::read_binary(bytes, limits),
+        Format::StlAscii => stl::read_ascii(bytes, limits),
+        Format::Obj => obj::read(bytes, limits),
+        Format::Ply => ply::read(bytes, limits),
+        Format::Gltf => gltf::read_json(bytes, limits),
+        Format::Glb => gltf::read_glb(bytes, limits),
+        Format::Vtp => vtp::read(bytes, limits),
+        Format::Vtk => vtk::read(bytes, limits),
+        Format::Off => off::read(bytes, limits),
+    }
 }
