@@ -13,11 +13,14 @@ RUN --mount=type=cache,target=/usr/local/cargo/registry --mount=type=cache,targe
     cargo build --release --locked --bin rosaline && cp target/release/rosaline /rosaline
 
 FROM debian:trixie-slim
+# Whom requests go to that the service sends itself: webhooks, and an issuer's keys.
+RUN apt-get update && apt-get install --yes --no-install-recommends ca-certificates && rm -rf /var/lib/apt/lists/*
 RUN useradd --system --uid 10001 --no-create-home --shell /usr/sbin/nologin rosaline \
     && install --directory --owner=rosaline --group=rosaline --mode=0700 /var/lib/rosaline
 COPY --from=build /rosaline /usr/local/bin/rosaline
 USER 10001
-# Without a key (or ROSALINE_INSECURE=true) it does not start. Reachable from outside of the container, which publishes the port or does not. Docker waits 10 s between
+# Without a key (or an issuer, or ROSALINE_INSECURE=true) it does not start. For TLS mount a certificate and its key, and name them in
+# ROSALINE_TLS_CERT and ROSALINE_TLS_KEY: the health check follows. Reachable from outside of the container, which publishes the port or does not. Docker waits 10 s between
 # SIGTERM and SIGKILL: the grace time, and up to 2 s for jobs that it interrupts; raise both for long jobs.
 ENV ROSALINE_LISTEN=0.0.0.0:8080 \
     ROSALINE_DATA=/var/lib/rosaline \

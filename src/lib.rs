@@ -7,7 +7,8 @@
 //! The rooms, from the inside out; each knows only those before it:
 //! [`mesh`] (surfaces and their file formats), [`centerline`] (the method),
 //! [`output`] (writers of results), [`phantom`] and [`compare`] (known truth and metrics),
-//! [`jobs`] (the durable queue and its worker pool), [`http`] and [`cli`] (the two doors).
+//! [`jobs`] (the durable queue and its worker pool), [`outbound`] (requests that the service sends),
+//! [`http`] and [`cli`] (the two doors).
 
 pub mod centerline;
 pub mod cli;
@@ -15,6 +16,7 @@ pub mod compare;
 pub mod http;
 pub mod jobs;
 pub mod mesh;
+pub mod outbound;
 pub mod output;
 pub mod phantom;
 

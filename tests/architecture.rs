@@ -6,40 +6,44 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Every room with the rooms it may know.
-const MAY_KNOW: [(&str, &[&str]); 8] = [
+const MAY_KNOW: [(&str, &[&str]); 9] = [
     ("mesh", &[]),
     ("centerline", &["mesh"]),
     ("output", &["centerline", "mesh"]),
     ("phantom", &["centerline", "mesh"]),
     ("compare", &["output", "centerline", "mesh"]),
     ("jobs", &["output", "centerline", "mesh"]),
-    ("http", &["jobs", "output", "centerline", "mesh"]),
-    ("cli", &["http", "jobs", "compare", "phantom", "output", "centerline", "mesh"]),
+    ("outbound", &["jobs"]),
+    ("http", &["outbound", "jobs", "output", "centerline", "mesh"]),
+    ("cli", &["http", "outbound", "jobs", "compare", "phantom", "output", "centerline", "mesh"]),
 ];
 
 /// Crates (and parts of std) with the only rooms that may name them.
-const ONLY_IN: [(&str, &[&str]); 20] = [
+const ONLY_IN: [(&str, &[&str]); 23] = [
     ("zstd", &["jobs"]),
     ("axum", &["http"]),
     ("tower", &["http"]),
     ("tower_http", &["http"]),
     ("hyper_util", &["http"]),
+    ("tokio_rustls", &["http"]),
+    ("reqwest", &["outbound", "cli"]),
+    ("jsonwebtoken", &["http"]),
     ("utoipa_axum", &["http"]),
     ("utoipa", &["http", "output"]),
     ("sqlx", &["jobs"]),
     ("object_store", &["jobs"]),
-    ("tokio", &["jobs", "http", "cli"]),
-    ("futures", &["jobs", "http", "cli"]),
-    ("tracing", &["jobs", "http", "cli"]),
+    ("tokio", &["jobs", "outbound", "http", "cli"]),
+    ("futures", &["jobs", "outbound", "http", "cli"]),
+    ("tracing", &["jobs", "outbound", "http", "cli"]),
     ("clap", &["cli"]),
     ("indicatif", &["cli"]),
     // The library has no I/O, no clock and no settings of its own.
-    ("std::fs", &["jobs", "http", "cli"]),
-    ("std::net", &["jobs", "http", "cli"]),
-    ("std::env", &["jobs", "http", "cli"]),
-    ("std::process", &["jobs", "http", "cli"]),
-    ("std::time", &["jobs", "http", "cli"]),
-    ("std::thread", &["jobs", "http", "cli"]),
+    ("std::fs", &["jobs", "outbound", "http", "cli"]),
+    ("std::net", &["jobs", "outbound", "http", "cli"]),
+    ("std::env", &["jobs", "outbound", "http", "cli"]),
+    ("std::process", &["jobs", "outbound", "http", "cli"]),
+    ("std::time", &["jobs", "outbound", "http", "cli"]),
+    ("std::thread", &["jobs", "outbound", "http", "cli"]),
 ];
 
 /// Lines that a source file may have.

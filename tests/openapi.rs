@@ -70,7 +70,8 @@ async fn documented_operations_are_those_that_answer() {
             assert_ne!(status, 405, "{method} {path} is documented and not routed");
             if method != Method::HEAD && status == 404 {
                 let body: Value = response.json().await.unwrap();
-                assert_eq!(body["type"], "urn:rosaline:problem:job-not-found", "{method} {path}");
+                let what = if path.starts_with("/v1/webhooks") { "webhook" } else { "job" };
+                assert_eq!(body["type"], format!("urn:rosaline:problem:{what}-not-found"), "{method} {path}");
             }
         }
     }

@@ -12,6 +12,15 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, Failure> {
     fs::read(path).map_err(|error| Failure::new(format!("cannot read {}: {error}", path.display())))
 }
 
+/// Makes a folder, for its owner's eyes only, where there is none.
+pub(super) fn create_private(folder: &Path) -> Result<(), Failure> {
+    let mut builder = fs::DirBuilder::new();
+    builder.recursive(true);
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.create(folder).map_err(|error| Failure::new(format!("cannot make {}: {error}", folder.display())))
+}
+
 /// Fails when a file could not be written to `path` because its folder is not there.
 pub(super) fn check_folder(path: &Path) -> Result<(), Failure> {
     let folder = folder(path);

@@ -1,7 +1,6 @@
 //! `rosaline health`: the health check of a container image that has no curl.
 
-use std::io::{Read, Write};
-use std::net::{TcpStream, ToSocketAddrs};
+use std::path::PathBuf;
 use std::time::Duration;
 
 use super::Failure;
@@ -12,28 +11,37 @@ const PATIENCE: Duration = Duration::from_secs(5);
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Address of the service, as given to `serve --listen`.
-    #[arg(long, env = "ROSALINE_LISTEN", default_value = "127.0.0.1:8080")]
+    #[arg(long, env = "ROSALINE_LISTEN", default_value = "127.0.0.1:8080", value_name = "HOST:PORT")]
     listen: String,
+    /// The certificate given to `serve --tls-cert`, where there is one: then the service is asked over TLS.
+    #[arg(long, env = "ROSALINE_TLS_CERT", value_name = "FILE")]
+    tls_cert: Option<PathBuf>,
 }
 
-/// Asks `GET /readyz`; anything but 200 is a failure that quotes the status line.
+/// Asks `GET /readyz`; anything but 200 is a failure that quotes the status.
 pub fn run(args: Args) -> Result<(), Failure> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(ask(args))
+}
+
+async fn ask(args: Args) -> Result<(), Failure> {
     // A service that listens on every address answers on the loopback one.
     let address = args.listen.replacen("0.0.0.0", "127.0.0.1", 1).replacen("[::]", "[::1]", 1);
-    let resolved = address
-        .to_socket_addrs()?
-        .next()
-        .ok_or_else(|| Failure::new(format!("{address} has no address; give host:port")))?;
-    let mut stream = TcpStream::connect_timeout(&resolved, PATIENCE)
-        .map_err(|error| Failure::new(format!("no service answers on {address}: {error}")))?;
-    stream.set_read_timeout(Some(PATIENCE))?;
-    stream.set_write_timeout(Some(PATIENCE))?;
-    write!(stream, "GET /readyz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n")?;
-    let mut answer = Vec::new();
-    stream.take(64 * 1024).read_to_end(&mut answer)?;
-    let answer = String::from_utf8_lossy(&answer);
-    let status = answer.lines().next().unwrap_or_default();
-    if status.split(' ').nth(1) == Some("200") {
+    let scheme = if args.tls_cert.is_some() { "https" } else { "http" };
+    let client = reqwest::Client::builder()
+        .timeout(PATIENCE)
+        .no_proxy()
+        .redirect(reqwest::redirect::Policy::none())
+        // The certificate's names are those that other machines use. Nothing secret is sent.
+        .tls_danger_accept_invalid_certs(true)
+        .build()?;
+    let answer = client.get(format!("{scheme}://{address}/readyz")).send().await;
+    let answer = answer.map_err(|error| {
+        let cause = Failure::from(error.without_url()).0;
+        Failure::new(format!("no service answers on {scheme}://{address}: {cause}"))
+    })?;
+    let status = answer.status();
+    if status == reqwest::StatusCode::OK {
         return Ok(());
     }
     Err(Failure::new(format!("the service on {address} is not ready: it answered '{status}'")))

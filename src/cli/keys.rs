@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use clap::Subcommand;
 
 use super::Failure;
+use super::files::create_private;
 use crate::http::access::{KeyFile, Scope};
 
 #[derive(Debug, clap::Args)]
@@ -62,12 +63,4 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
     }
     Ok(())
-}
-
-fn create_private(folder: &std::path::Path) -> Result<(), Failure> {
-    let mut builder = std::fs::DirBuilder::new();
-    builder.recursive(true);
-    #[cfg(unix)]
-    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
-    builder.create(folder).map_err(|error| Failure::new(format!("cannot make {}: {error}", folder.display())))
 }

@@ -10,6 +10,7 @@ mod parameters;
 mod phantom;
 mod progress;
 mod serve;
+mod webhooks;
 
 use std::error::Error;
 use std::io::Write;
@@ -28,7 +29,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Run the HTTP service, with its store and workers in this one process.
-    Serve(serve::Args),
+    Serve(Box<serve::Args>),
     /// Extract the centerline of one mesh.
     Extract(extract::Args),
     /// Measure how far a centerline is from the true one.
@@ -37,6 +38,8 @@ enum Command {
     Phantom(phantom::Args),
     /// Say who may use the service.
     Keys(keys::Args),
+    /// Say who is told of the ends of jobs.
+    Webhooks(webhooks::Args),
     /// Ask a running service whether it is ready: exit code 0 when it is.
     Health(health::Args),
     /// Print the OpenAPI document of the service.
@@ -91,11 +94,12 @@ pub fn main() -> ExitCode {
 
 fn run(cli: Cli) -> Result<(), Failure> {
     match cli.command {
-        Command::Serve(args) => serve::run(args),
+        Command::Serve(args) => serve::run(*args),
         Command::Extract(args) => extract::run(args),
         Command::Compare(args) => compare::run(args),
         Command::Phantom(args) => phantom::run(args),
         Command::Keys(args) => keys::run(args),
+        Command::Webhooks(args) => webhooks::run(args),
         Command::Health(args) => health::run(args),
         Command::Openapi(args) => openapi::run(args),
     }

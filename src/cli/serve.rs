@@ -12,11 +12,12 @@ use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
 use super::Failure;
-use crate::http::access::KeyRing;
+use crate::http::access::{Gate, Issuer, KeyRing};
 use crate::http::audit::Trail;
-use crate::http::{self, App, Limits};
+use crate::http::{self, App, Limits, Tls};
 use crate::jobs::extraction::Extraction;
 use crate::jobs::{JobService, Retention, Settings, TooManyWorkers, log_panics_without_text};
+use crate::outbound::webhooks::{self, Schedule, TargetFile};
 
 pub use args::Args;
 use args::LogFormat;
@@ -52,9 +53,15 @@ async fn serve(args: Args) -> Result<(), Failure> {
         run: args.max_run.0,
         ..Limits::default()
     };
-    let keys = KeyRing::open(args.keys.clone().unwrap_or_else(|| args.data.join("keys.json")))?;
-    check_open(address, &keys, args.insecure)?;
-    let is_open = !keys.is_closed();
+    let gate = gate(&args)?;
+    check_open(address, &gate, args.insecure)?;
+    let tls = args
+        .tls_cert
+        .as_ref()
+        .zip(args.tls_key.as_ref())
+        .map(|(cert, key)| Tls::open(cert, key))
+        .transpose()?;
+    let is_open = !gate.is_closed();
     let jobs = JobService::open(settings(&args)?, Arc::new(Extraction::new(limits.mesh))).await?;
     let path = args.audit.clone().unwrap_or_else(|| args.data.join("audit.jsonl"));
     let trail = Trail::open(&path, args.audit_rotate.0).map_err(|error| {
@@ -63,31 +70,65 @@ async fn serve(args: Args) -> Result<(), Failure> {
             path.display()
         ))
     })?;
-    let app = App::new(jobs, limits, Some(keys), Some(trail))?;
+    webhooks::start(webhook_settings(&args), &jobs).await?;
+    let app = App::new(jobs, limits, Some(gate), Some(trail))?;
     // For people and for scripts that asked for port 0; a closed stdout leaves nobody to tell.
-    let _ = writeln!(std::io::stdout(), "listening on http://{address}");
+    let scheme = if tls.is_some() { "https" } else { "http" };
+    let _ = writeln!(std::io::stdout(), "listening on {scheme}://{address}");
+    if tls.is_none() && !is_local(address) {
+        tracing::warn!(%address, "without TLS keys and meshes cross the network in the clear: set --tls-cert and --tls-key");
+    }
     if is_open {
         tracing::warn!(%address, "no key is needed: whoever reaches this address may see, make and delete every job");
     }
     tracing::info!(%address, "ready");
-    http::serve(listener, app, stop, args.grace.0).await?;
+    http::serve(listener, tls, app, stop, args.grace.0).await?;
     tracing::info!("stopped");
     Ok(())
 }
 
+/// Who is let in: the holders of keys, and of tokens where an issuer is set.
+fn gate(args: &Args) -> Result<Gate, Failure> {
+    let keys = KeyRing::open(args.keys.clone().unwrap_or_else(|| args.data.join("keys.json")))?;
+    let issuer = match (&args.jwt_issuer, &args.jwt_audience, &args.jwks) {
+        (Some(issuer), Some(audience), Some(jwks)) => {
+            if jwks.is_in_the_clear() {
+                tracing::warn!(
+                    "the issuer's keys come in the clear: whoever is in between can make tokens; use https"
+                );
+            }
+            Some(Issuer::open(issuer, audience, jwks.clone())?)
+        }
+        _ => None,
+    };
+    Ok(Gate::new(keys, issuer))
+}
+
+fn is_local(address: SocketAddr) -> bool {
+    address.ip().to_canonical().is_loopback()
+}
+
 /// Refuses to let others in without authentication, unless that is asked for.
-fn check_open(address: SocketAddr, keys: &KeyRing, insecure: bool) -> Result<(), Failure> {
-    let is_local = address.ip().to_canonical().is_loopback();
-    if keys.is_closed() {
+fn check_open(address: SocketAddr, gate: &Gate, insecure: bool) -> Result<(), Failure> {
+    if gate.is_closed() {
         return Ok(());
     }
-    if !is_local && !insecure {
+    if !is_local(address) && !insecure {
         return Err(Failure::new(format!(
             "on {address} others could use this service, and no key is needed for it: make one with 'rosaline keys \
-             add NAME --scope submit,read', listen on 127.0.0.1, or let everybody in with --insecure"
+             add NAME --scope submit,read', accept tokens with --jwt-issuer, listen on 127.0.0.1, or let everybody in with --insecure"
         )));
     }
     Ok(())
+}
+
+fn webhook_settings(args: &Args) -> webhooks::Settings {
+    let path = args.webhooks.clone().unwrap_or_else(|| args.data.join("webhooks.json"));
+    webhooks::Settings {
+        file: TargetFile::new(path),
+        schedule: Schedule { first: args.webhook_retry.0, attempts: args.webhook_attempts },
+        timeout: args.webhook_timeout.0,
+    }
 }
 
 fn settings(args: &Args) -> Result<Settings, TooManyWorkers> {

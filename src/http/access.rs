@@ -1,5 +1,8 @@
-//! Who asks, and whether they may: API keys, their scopes, and whose job is whose.
+//! Who asks, and whether they may: API keys and tokens, their scopes, and whose job is whose.
 
+mod gate;
+mod jwks;
+mod jwt;
 mod keys;
 mod ring;
 
@@ -16,6 +19,10 @@ use super::problem::{FORBIDDEN, Problem, UNAUTHENTICATED};
 use super::trace::job_in_path;
 use crate::jobs::JobId;
 
+pub use gate::Gate;
+use gate::Unknown;
+pub use jwks::{JwksError, JwksSource};
+pub use jwt::Issuer;
 pub use keys::{Key, KeyError, KeyFile, Scope};
 pub use ring::KeyRing;
 
@@ -24,11 +31,11 @@ pub use ring::KeyRing;
 pub enum Caller {
     /// There is no authentication: whoever reaches the service.
     Anyone,
-    /// The holder of a key.
+    /// The holder of a key or a token.
     Principal(Arc<Principal>),
 }
 
-/// The holder of a key. Jobs belong to the name, so that they stay when the key is rotated.
+/// The holder of a key, or the subject of a token. Jobs belong to the name, so that they stay when a key is rotated.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Principal {
     pub name: String,
@@ -53,6 +60,12 @@ impl Caller {
         }
     }
 
+    /// # Errors
+    /// 403 where the scope is missing.
+    pub(super) fn must_have(&self, scope: Scope) -> Result<(), Problem> {
+        if self.has(scope) { Ok(()) } else { Err(forbidden(scope)) }
+    }
+
     /// The one owner whose jobs this caller may see; `None`: it may see all.
     pub fn bound_to(&self) -> Option<&str> {
         if self.has(Scope::Admin) { None } else { self.owner() }
@@ -71,12 +84,12 @@ pub async fn admit(State(app): State<App>, mut request: Request, next: Next) -> 
         return next.run(request).await;
     }
     let (method, peer) = (request.method().clone(), request.extensions().get().copied());
-    let (response, caller) = match check(&app, &method, request.headers()) {
+    let (response, caller) = match check(&app, &method, request.headers()).await {
         Ok(caller) => {
             request.extensions_mut().insert(caller.clone());
             (next.run(request).await, Some(caller))
         }
-        Err(problem) => (problem.into_response(), None),
+        Err(Refused { problem, caller }) => (problem.into_response(), caller),
     };
     let job = job_in_path(&path).or_else(|| response.extensions().get::<JobId>().copied());
     let status = response.status();
@@ -93,18 +106,21 @@ pub async fn admit(State(app): State<App>, mut request: Request, next: Next) -> 
     response
 }
 
-fn check(app: &App, method: &Method, headers: &HeaderMap) -> Result<Caller, Problem> {
-    let Some(ring) = app.keys() else { return Ok(Caller::Anyone) };
-    let caller = match ring.caller(bearer(headers)) {
-        Some(caller) => caller,
-        None => return Err(unauthenticated()),
-    };
+/// Why a request is not let in, and whose it is where that is known.
+struct Refused {
+    problem: Problem,
+    caller: Option<Caller>,
+}
+
+async fn check(app: &App, method: &Method, headers: &HeaderMap) -> Result<Caller, Refused> {
+    let Some(gate) = app.gate() else { return Ok(Caller::Anyone) };
+    let caller = gate.caller(bearer(headers)).await;
+    let caller = caller.map_err(|reason| Refused { problem: unauthenticated(&reason), caller: None })?;
     let scope = if matches!(*method, Method::GET | Method::HEAD) { Scope::Read } else { Scope::Submit };
     if caller.has(scope) {
         return Ok(caller);
     }
-    let detail = format!("this key lacks the scope '{}'; ask the operator for one that has it", scope.name());
-    Err(Problem::new(&FORBIDDEN, detail).with("scope", scope.name()))
+    Err(Refused { problem: forbidden(scope), caller: Some(caller) })
 }
 
 /// The token of `Authorization: Bearer` (RFC 6750), where the header is there once.
@@ -115,9 +131,23 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
     scheme.eq_ignore_ascii_case("bearer").then(|| token.trim())
 }
 
-/// The same whether there was no key, a wrong one or a revoked one.
-fn unauthenticated() -> Problem {
-    let detail =
-        "send a valid key as 'Authorization: Bearer KEY'; the operator makes one with 'rosaline keys add'";
-    Problem::new(&UNAUTHENTICATED, detail).header(header::WWW_AUTHENTICATE, "Bearer realm=\"rosaline\"")
+/// 401, as RFC 6750, section 3, has it: an error is named only where something was sent.
+fn unauthenticated(reason: &Unknown) -> Problem {
+    let challenge = match reason {
+        Unknown::Nobody => "Bearer realm=\"rosaline\"".to_owned(),
+        reason => {
+            format!("Bearer realm=\"rosaline\", error=\"invalid_token\", error_description=\"{reason}\"")
+        }
+    };
+    let detail = format!(
+        "{reason}; send a valid key or token as 'Authorization: Bearer ...'. The operator makes keys"
+    );
+    Problem::new(&UNAUTHENTICATED, detail).header(header::WWW_AUTHENTICATE, challenge)
+}
+
+fn forbidden(scope: Scope) -> Problem {
+    let name = scope.name();
+    let challenge = format!("Bearer realm=\"rosaline\", error=\"insufficient_scope\", scope=\"{name}\"");
+    let detail = format!("the key or token lacks the scope '{name}'; ask for one that has it");
+    Problem::new(&FORBIDDEN, detail).with("scope", name).header(header::WWW_AUTHENTICATE, challenge)
 }

@@ -1,7 +1,7 @@
 //! The audit trail: who did what to which job, one JSON object a line, in a file that is only ever added to.
 //!
 //! The members are those of an audit message of DICOM PS3.15, section A.5 (RFC 3881). Written are submissions, results
-//! that were handed out, lists, cancellations and purges, retries, and refusals for want of a key or a scope; polls of
+//! that were handed out, lists, cancellations and purges, retries, webhooks that are sent again, and refusals for want of a key or a scope; polls of
 //! a status are not.
 
 use std::fs::{self, File, OpenOptions};
@@ -29,6 +29,8 @@ enum Act {
     Query,
     Retry,
     Delete,
+    /// A webhook is sent again.
+    Resend,
     /// Somebody was not let in, or not allowed to.
     Refused,
 }
@@ -40,9 +42,10 @@ impl Act {
         }
         match method.as_str() {
             "POST" if path.ends_with("/retry") => Some(Act::Retry),
+            "POST" if path.ends_with("/resend") => Some(Act::Resend),
             "POST" => Some(Act::Import),
             "DELETE" => Some(Act::Delete),
-            "GET" if path == "/v1/jobs" => Some(Act::Query),
+            "GET" if matches!(path, "/v1/jobs" | "/v1/webhooks/dead") => Some(Act::Query),
             "GET" if path.contains("/results/") => Some(Act::Export),
             _ => None,
         }
@@ -56,6 +59,7 @@ impl Act {
             Act::Query => ("110112", "Query", "E"),
             Act::Retry => ("110103", "DICOM Instances Accessed", "U"),
             Act::Delete => ("110103", "DICOM Instances Accessed", "D"),
+            Act::Resend => ("110106", "Export", "E"),
             Act::Refused => ("110113", "Security Alert", "E"),
         }
     }

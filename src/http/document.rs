@@ -8,7 +8,7 @@ mod responses;
 
 use utoipa::OpenApi;
 use utoipa::openapi::path::{Operation, PathItem};
-use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityRequirement, SecurityScheme};
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{Info, License, RefOr, Tag};
 
 use super::{limits, problem, representation, router};
@@ -16,25 +16,26 @@ use crate::jobs::JobFailure;
 use crate::output::ResultDocument;
 
 pub use parameters::{
-    AcceptHeader, ChangeHeader, ConditionHeaders, IfMatchHeader, IfNoneMatchHeader, JobPath, LastEventHeader,
-    ListParameters, OriginHeaders, PreferHeader, SubmitQuery,
+    AcceptHeader, ChangeHeader, ConditionHeaders, DeadParameters, IfMatchHeader, IfNoneMatchHeader, JobPath,
+    LastEventHeader, ListParameters, OriginHeaders, PreferHeader, SubmitQuery, WebhookPath,
 };
 pub use problems::{
-    DeleteProblems, JobProblems, LimitsProblems, ListProblems, MetricsProblems, NegotiatedProblems,
-    ReadyProblems, ResultProblems, RetryProblems, SubmitProblems,
+    DeadProblems, DeleteProblems, JobProblems, LimitsProblems, ListProblems, MetricsProblems,
+    NegotiatedProblems, ReadyProblems, ResendProblems, ResultProblems, RetryProblems, SubmitProblems,
 };
 pub use responses::{
-    AnyResult, Created, Deleted, Document, Events, GlbResult, GltfResult, Healthy, JsonResult, LimitsAnswer,
-    List, Metrics, Retried, Status,
+    AnyResult, Created, Dead, Deleted, Document, Events, GlbResult, GltfResult, Healthy, JsonResult,
+    LimitsAnswer, List, Metrics, Resent, Retried, Status,
 };
 
-/// The security scheme of API keys.
+/// The security scheme of API keys and tokens.
 const KEY: &str = "key";
 
 // Tags.
 pub const JOBS: &str = "jobs";
 pub const RESULTS: &str = "results";
 pub const SERVICE: &str = "service";
+pub const WEBHOOKS: &str = "webhooks";
 
 /// The schemas that the hand-made parts refer to.
 #[derive(OpenApi)]
@@ -45,7 +46,9 @@ pub const SERVICE: &str = "service";
     ResultDocument,
     super::operations::health::Health,
     super::operations::limits::LimitsDocument,
-    super::inspection::Inspection
+    super::inspection::Inspection,
+    super::operations::webhooks::DeadWebhook,
+    super::operations::webhooks::DeadWebhooks
 )))]
 struct Schemas;
 
@@ -53,15 +56,19 @@ struct Schemas;
 pub fn base() -> utoipa::openapi::OpenApi {
     let mut document = Schemas::openapi();
     document.info = info();
-    // Either none, where the operator made no key, or one.
+    // Either none, where the operator made no key and set no issuer, or one.
     document.security = Some(vec![SecurityRequirement::default(), SecurityRequirement::new(KEY, [""; 0])]);
     document.tags = Some(vec![
         tag(JOBS, "Meshes in, jobs out"),
         tag(RESULTS, "Centerlines"),
         tag(SERVICE, "The service itself"),
+        tag(WEBHOOKS, "What the operator's targets could not be told"),
     ]);
     if let Some(components) = &mut document.components {
-        components.add_security_scheme(KEY, SecurityScheme::Http(Http::new(HttpAuthScheme::Bearer)));
+        let scheme = HttpBuilder::new()
+            .scheme(HttpAuthScheme::Bearer)
+            .description(Some("An API key, or a JWT of the issuer that the operator set"));
+        components.add_security_scheme(KEY, SecurityScheme::Http(scheme.build()));
         components.schemas.insert(body::PARAMETERS.to_owned(), RefOr::T(body::parameters_schema()));
     }
     document

@@ -138,7 +138,7 @@ impl From<&Job> for StatusDocument {
 }
 
 /// Milliseconds since the epoch as RFC 3339; times that no calendar has become the epoch.
-fn rfc3339(millis: i64) -> String {
+pub(super) fn rfc3339(millis: i64) -> String {
     let time = OffsetDateTime::from_unix_timestamp_nanos(i128::from(millis) * 1_000_000);
     time.unwrap_or(OffsetDateTime::UNIX_EPOCH).format(&Iso8601::<RFC3339_MILLIS>).unwrap_or_default()
 }

@@ -10,7 +10,7 @@ use utoipa_axum::routes;
 
 use super::counters::Counters;
 use super::operations::{
-    delete, events, health, limits, list, metrics, openapi, result, retry, status, submit,
+    delete, events, health, limits, list, metrics, openapi, result, retry, status, submit, webhooks,
 };
 use super::problem::{INTERNAL_ERROR, METHOD_NOT_ALLOWED, NOT_FOUND, Problem};
 use super::{App, access, cors, document, lingering, trace};
@@ -28,6 +28,8 @@ pub fn routes() -> OpenApiRouter<App> {
         .routes(routes!(result::glb))
         .routes(routes!(limits::limits))
         .routes(routes!(metrics::metrics))
+        .routes(routes!(webhooks::dead))
+        .routes(routes!(webhooks::resend))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
         .routes(routes!(openapi::openapi))

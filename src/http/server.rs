@@ -2,26 +2,36 @@
 
 use std::future::Future;
 use std::io;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::net::TcpListener;
 
-use super::{App, connections, router};
+use super::{App, Tls, connections, router};
 
 /// How long open connections may take to end after the signal to stop, within the grace time.
 const CONNECTIONS_END: Duration = Duration::from_secs(10);
 
-/// Serves on `listener` until `stop` is ready. Then no connection is accepted any more, requests under way are
+/// Serves on `listener`, encrypted where there is `tls`, until `stop` is ready. Then no connection is accepted any more, requests under way are
 /// answered, running jobs finish within `grace`, and the others are put back.
 pub async fn serve(
     listener: TcpListener,
+    tls: Option<Tls>,
     app: App,
     stop: impl Future<Output = ()>,
     grace: Duration,
 ) -> io::Result<()> {
     let closing = app.closing().clone();
     let router = router::router(app.clone());
-    let mut server = tokio::spawn(connections::serve(listener, router, app.limits().head, closing.clone()));
+    let tls = tls.map(Arc::new);
+    if let Some(tls) = &tls {
+        tokio::spawn(tls.clone().follow(closing.clone()));
+    }
+    if let Some(gate) = app.gate() {
+        gate.follow(closing.clone());
+    }
+    let connections = connections::serve(listener, tls, router, app.limits().head, closing.clone());
+    let mut server = tokio::spawn(connections);
     tokio::select! {
         () = stop => {}
         ended = &mut server => return ended.map_err(io::Error::other),

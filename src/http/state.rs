@@ -6,7 +6,7 @@ use rayon::ThreadPoolBuildError;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use super::access::KeyRing;
+use super::access::Gate;
 use super::audit::Trail;
 use super::counters::Counters;
 use super::idempotency::InFlight;
@@ -24,21 +24,21 @@ struct Inner {
     validator: Validator,
     in_flight: InFlight,
     uploads: Arc<Semaphore>,
-    keys: Option<KeyRing>,
+    gate: Option<Gate>,
     trail: Option<Trail>,
     counters: Counters,
     closing: CancellationToken,
 }
 
 impl App {
-    /// Without `keys`, whoever reaches the service may do everything.
+    /// Without a `gate`, whoever reaches the service may do everything.
     ///
     /// # Errors
     /// When the threads that check meshes cannot be started.
     pub fn new(
         jobs: Arc<JobService>,
         limits: Limits,
-        keys: Option<KeyRing>,
+        gate: Option<Gate>,
         trail: Option<Trail>,
     ) -> Result<Self, ThreadPoolBuildError> {
         let validator = Validator::new(&limits)?;
@@ -48,7 +48,7 @@ impl App {
             validator,
             in_flight: InFlight::default(),
             uploads: Arc::new(Semaphore::new(limits.uploads)),
-            keys,
+            gate,
             trail,
             counters: Counters::default(),
             closing: CancellationToken::new(),
@@ -67,8 +67,8 @@ impl App {
         &self.0.validator
     }
 
-    pub(super) fn keys(&self) -> Option<&KeyRing> {
-        self.0.keys.as_ref()
+    pub(super) fn gate(&self) -> Option<&Gate> {
+        self.0.gate.as_ref()
     }
 
     pub(super) fn trail(&self) -> Option<&Trail> {

@@ -25,6 +25,7 @@ mod id;
 mod live;
 mod meter;
 mod model;
+mod outbox;
 mod panics;
 mod parameters;
 mod priority;
@@ -52,6 +53,7 @@ pub use model::{
     Counts, FileName, FormatHint, Idempotency, Job, JobSpec, JobStatus, Lease, Load, Origin, StoredArtifact,
     StoredInput, UnknownStatus,
 };
+pub use outbox::{Delivery, DeliveryCounts, Listener, Outbox, Told};
 pub use panics::log_panics_without_text;
 pub use parameters::ParameterValues;
 pub use priority::{Priority, UnknownPriority};

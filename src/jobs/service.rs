@@ -69,7 +69,7 @@ impl Drop for Upload {
 pub struct JobService {
     pub(super) shared: Arc<Shared>,
     ids: IdSource,
-    workers: Mutex<Vec<JoinHandle<()>>>,
+    pub(super) workers: Mutex<Vec<JoinHandle<()>>>,
 }
 
 impl JobService {
@@ -92,9 +92,11 @@ impl JobService {
     ) -> Result<Arc<Self>, JobError> {
         let (store, blobs) = (&storage.store, &storage.blobs);
         recover(store.as_ref(), blobs.as_ref(), settings.max_crashes.get(), clock.now_ms()).await?;
+        storage.deliveries.release_deliveries(clock.now_ms()).await?;
         let ids = IdSource::new(clock.clone(), store.newest().await?);
         let shared = Arc::new(Shared {
             store: storage.store,
+            deliveries: storage.deliveries,
             blobs: storage.blobs,
             runner,
             clock,

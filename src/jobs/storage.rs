@@ -1,15 +1,16 @@
-//! The two stores of a service, and the folder that holds both.
+//! The stores of a service, and the folder that holds them.
 
 use std::path::Path;
 use std::sync::Arc;
 
 use super::blob::{BlobStore, LocalBlobs};
-use super::store::{JobStore, SqlStore};
+use super::store::{DeliveryStore, JobStore, SqlStore};
 use super::{DataFolder, JobError};
 
 /// Where jobs and their files are kept.
 pub struct Storage {
     pub store: Arc<dyn JobStore>,
+    pub deliveries: Arc<dyn DeliveryStore>,
     pub blobs: Arc<dyn BlobStore>,
     /// Kept locked while the service or one of its workers lives.
     pub folder: Option<DataFolder>,
@@ -28,6 +29,6 @@ impl Storage {
         })
         .await??;
         let store = Arc::new(SqlStore::open(&folder.database_url()).await?);
-        Ok(Self { store, blobs: Arc::new(blobs), folder: Some(folder) })
+        Ok(Self { deliveries: store.clone(), store, blobs: Arc::new(blobs), folder: Some(folder) })
     }
 }

@@ -18,7 +18,7 @@ use super::blob::{BlobError, BlobStore};
 use super::live::{Board, Entry, Snapshot};
 use super::meter::Meter;
 use super::runner::{Artifact, JobRunner, RunControl, Work};
-use super::store::{JobStore, StoreError};
+use super::store::{DeliveryStore, JobStore, StoreError};
 use super::timeline::Timeline;
 use super::{Clock, DataFolder, Job, JobFailure, JobStage, JobStatus, Lease, Settings};
 
@@ -42,6 +42,7 @@ pub(super) enum Phase {
 /// What the service and its workers share.
 pub(super) struct Shared {
     pub(super) store: Arc<dyn JobStore>,
+    pub(super) deliveries: Arc<dyn DeliveryStore>,
     pub(super) blobs: Arc<dyn BlobStore>,
     pub(super) runner: Arc<dyn JobRunner>,
     pub(super) clock: Arc<dyn Clock>,

@@ -5,10 +5,14 @@
 mod common;
 #[path = "../common/gltf_checker.rs"]
 mod gltf_checker;
+#[path = "../common/issuer.rs"]
+mod issuer;
 #[path = "../common/meshes.rs"]
 mod meshes;
 #[path = "../common/mix.rs"]
 mod mix;
+#[path = "../common/receiver.rs"]
+mod receiver;
 #[path = "../common/service.rs"]
 mod service;
 #[path = "../common/small_disk.rs"]
@@ -37,6 +41,9 @@ mod shared_meshes;
 mod stalls;
 mod storage_faults;
 mod submission;
+mod tls;
+mod tokens;
 mod trail;
 mod turns;
 mod uploads;
+mod webhooks;

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
 
+use crate::http::access::JwksSource;
 use crate::jobs::MAX_CRASHES;
 
 #[derive(Debug, clap::Args)]
@@ -12,6 +13,13 @@ pub struct Args {
     /// Address to listen on; port 0 takes a free one.
     #[arg(long, env = "ROSALINE_LISTEN", default_value = "127.0.0.1:8080", value_name = "HOST:PORT")]
     pub listen: String,
+    /// Certificate of the service in PEM form, its chain after it; with it only TLS is spoken. Taken over again when
+    /// it changes, as its key is.
+    #[arg(long, env = "ROSALINE_TLS_CERT", value_name = "FILE", requires = "tls_key")]
+    pub tls_cert: Option<PathBuf>,
+    /// Private key of the certificate, in PEM form.
+    #[arg(long, env = "ROSALINE_TLS_KEY", value_name = "FILE", requires = "tls_cert")]
+    pub tls_key: Option<PathBuf>,
     /// Folder for the jobs' database and files; created where it is missing.
     #[arg(long, env = "ROSALINE_DATA", default_value = "data", value_name = "DIR")]
     pub data: PathBuf,
@@ -35,6 +43,16 @@ pub struct Args {
     /// every request needs a key.
     #[arg(long, env = "ROSALINE_KEYS", value_name = "FILE")]
     pub keys: Option<PathBuf>,
+    /// Issuer of JWTs that are accepted beside keys, as their claim `iss` has it.
+    #[arg(long, env = "ROSALINE_JWT_ISSUER", value_name = "ISSUER", requires_all = ["jwt_audience", "jwks"])]
+    pub jwt_issuer: Option<String>,
+    /// What the claim `aud` of a JWT must name.
+    #[arg(long, env = "ROSALINE_JWT_AUDIENCE", value_name = "AUDIENCE", requires = "jwt_issuer")]
+    pub jwt_audience: Option<String>,
+    /// The issuer's public keys (JWKS): a file, or an http or https URL, which is fetched again every 5 minutes and when
+    /// a token names an unknown key.
+    #[arg(long, env = "ROSALINE_JWKS", value_name = "FILE|URL", requires = "jwt_issuer")]
+    pub jwks: Option<JwksSource>,
     /// Listen on an address that others can reach although no key is needed.
     #[arg(long, env = "ROSALINE_INSECURE")]
     pub insecure: bool,
@@ -68,6 +86,19 @@ pub struct Args {
     /// How long a client may take for the head of a request, or before its next one.
     #[arg(long, env = "ROSALINE_HEAD_TIMEOUT", default_value = "30s", value_name = "TIME")]
     pub head_timeout: Span,
+    /// File of the webhook targets, which `rosaline webhooks` makes [default: webhooks.json in the data folder].
+    #[arg(long, env = "ROSALINE_WEBHOOKS", value_name = "FILE")]
+    pub webhooks: Option<PathBuf>,
+    /// How long to wait before a webhook is tried again that failed once; each further wait is three times as long, up
+    /// to 12 h.
+    #[arg(long, env = "ROSALINE_WEBHOOK_RETRY", default_value = "5s", value_name = "TIME")]
+    pub webhook_retry: Span,
+    /// Tries after which a webhook is given up.
+    #[arg(long, env = "ROSALINE_WEBHOOK_ATTEMPTS", default_value = "12", value_name = "N")]
+    pub webhook_attempts: NonZeroU32,
+    /// How long a target may take to answer a webhook.
+    #[arg(long, env = "ROSALINE_WEBHOOK_TIMEOUT", default_value = "15s", value_name = "TIME")]
+    pub webhook_timeout: Span,
     /// How long running jobs may go on after SIGTERM or SIGINT, in seconds or with s or m.
     #[arg(long, env = "ROSALINE_GRACE", default_value = "30s", value_name = "TIME")]
     pub grace: Span,

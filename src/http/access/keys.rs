@@ -11,7 +11,7 @@ use time::OffsetDateTime;
 use time::format_description::well_known::Rfc3339;
 
 /// What every key begins with, so that leaked ones can be searched for.
-const PREFIX: &str = "rosaline_";
+pub(super) const PREFIX: &str = "rosaline_";
 /// Bytes of a key's id, which is no secret, and of its secret.
 const ID_BYTES: usize = 6;
 const SECRET_BYTES: usize = 32;

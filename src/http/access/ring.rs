@@ -2,13 +2,10 @@
 
 use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLock};
-use std::time::SystemTime;
 
 use super::keys::{Key, KeyError, hash, id_of, read};
 use super::{Caller, Principal};
-
-/// Tells one state of the file from the next: it is only ever replaced whole.
-type Stamp = Option<(SystemTime, u64, u64)>;
+use crate::outbound::stamp::{Stamp, stamp};
 
 /// The keys in force.
 pub struct KeyRing {
@@ -71,15 +68,6 @@ impl KeyRing {
             }
         }
     }
-}
-
-fn stamp(path: &std::path::Path) -> Stamp {
-    let found = std::fs::metadata(path).ok()?;
-    #[cfg(unix)]
-    let file = std::os::unix::fs::MetadataExt::ino(&found);
-    #[cfg(not(unix))]
-    let file = 0;
-    Some((found.modified().ok()?, found.len(), file))
 }
 
 /// Compares in the same time wherever they differ.

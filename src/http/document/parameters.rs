@@ -40,6 +40,15 @@ parameters! {
         .collect();
     /// Filters and paging of the list.
     ListParameters => list();
+    /// Paging of the webhooks that were given up.
+    DeadParameters => vec![
+        query("limit", limit("Webhooks on a page")),
+        query("cursor", webhook().description(Some("Where the page begins: follow `Link` rather than make one")).build()),
+    ];
+    /// The id in a webhook's path.
+    WebhookPath => vec![
+        path_id("The webhook's id, as its messages and the list have it", webhook().build(), "msg_5f2b0c9a3d1e4f60718293a4b5c6d7e8"),
+    ];
     /// By which a client finds its request again.
     OriginHeaders => vec![
         header(
@@ -213,29 +222,47 @@ fn row(spec: &ParameterSpec) -> Object {
 }
 
 fn list() -> Vec<Parameter> {
-    let limits = Limits::default();
     let statuses = ObjectBuilder::new()
         .schema_type(Type::String)
         .enum_values(Some(JobStatus::ALL.iter().map(|status| status.name())))
         .description(Some("Only jobs in this state"));
-    let limit = ObjectBuilder::new()
+    let cursor = uuid().description(Some("Where the page begins: follow `Link` rather than make one"));
+    vec![
+        query("status", statuses.build()),
+        query("limit", limit("Jobs on a page")),
+        query("cursor", cursor.build()),
+    ]
+}
+
+fn limit(description: &str) -> Object {
+    let limits = Limits::default();
+    ObjectBuilder::new()
         .schema_type(Type::Integer)
         .minimum(Some(1_u32))
         .maximum(Some(limits.page_most))
         .default(Some(json!(limits.page_default)))
-        .description(Some("Jobs on a page"));
-    let cursor = uuid().description(Some("Where the page begins: follow `Link` rather than make one"));
-    vec![query("status", statuses.build()), query("limit", limit.build()), query("cursor", cursor.build())]
+        .description(Some(description))
+        .build()
+}
+
+/// A webhook's id.
+fn webhook() -> ObjectBuilder {
+    ObjectBuilder::new().schema_type(Type::String).pattern(Some("^msg_[0-9a-f]{32}$"))
 }
 
 fn job_id() -> Parameter {
+    let example = "019aa8b6-7a42-7d52-8d53-2f8ad3a2b9c1";
+    path_id("The job's id, as its submission answered it", uuid().build(), example)
+}
+
+fn path_id(description: &str, schema: Object, example: &str) -> Parameter {
     ParameterBuilder::new()
         .name("id")
         .parameter_in(ParameterIn::Path)
         .required(Required::True)
-        .description(Some("The job's id, as its submission answered it"))
-        .schema(Some(uuid().build()))
-        .example(Some(json!("019aa8b6-7a42-7d52-8d53-2f8ad3a2b9c1")))
+        .description(Some(description))
+        .schema(Some(schema))
+        .example(Some(json!(example)))
         .build()
 }
 

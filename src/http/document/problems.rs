@@ -49,6 +49,10 @@ problems! {
     LimitsProblems => [UNAUTHENTICATED, FORBIDDEN];
     /// Of `GET /metrics`.
     MetricsProblems => [UNAUTHENTICATED, FORBIDDEN, STORAGE_UNAVAILABLE];
+    /// Of `GET /v1/webhooks/dead`.
+    DeadProblems => [UNAUTHENTICATED, FORBIDDEN, MALFORMED_REQUEST, UNKNOWN_PARAMETER, INVALID_PARAMETER, STORAGE_UNAVAILABLE];
+    /// Of `POST /v1/webhooks/dead/{id}/resend`.
+    ResendProblems => [UNAUTHENTICATED, FORBIDDEN, WEBHOOK_NOT_FOUND, STORAGE_UNAVAILABLE, STORAGE_FULL];
     /// Of `GET /readyz`.
     ReadyProblems => [NOT_READY];
 }
@@ -93,7 +97,10 @@ fn response(kinds: &[&Kind]) -> Response {
     let mut response = ResponseBuilder::new().description(titles.join("; ")).content(MEDIA_TYPE, content);
     for kind in kinds {
         response = match *kind {
-            kind if *kind == UNAUTHENTICATED => response.header("WWW-Authenticate", header("`Bearer`")),
+            kind if *kind == UNAUTHENTICATED => response.header(
+                "WWW-Authenticate",
+                header("`Bearer`, with `error` where a key or token was sent (RFC 6750)"),
+            ),
             kind if *kind == UNSUPPORTED_MEDIA_TYPE => {
                 response.header("Accept", header("What to send instead"))
             }

@@ -82,6 +82,11 @@ responses! {
     Metrics => [("200", ResponseBuilder::new()
         .description("Prometheus' text format")
         .content("text/plain", Content::new(Some(ObjectBuilder::new().schema_type(Type::String)))))];
+    Dead => [("200", ResponseBuilder::new()
+        .description("One page of webhooks that were given up")
+        .header("Link", header("`<...>; rel=\"next\"` where there are older ones (RFC 8288)"))
+        .content(JSON, content("DeadWebhooks", None)))];
+    Resent => [("202", ResponseBuilder::new().description("It is to be tried again"))];
     LimitsAnswer => [("200", ResponseBuilder::new()
         .description("The limits in force")
         .content(JSON, content("Limits", None)))];

@@ -7,7 +7,7 @@ use axum::response::{IntoResponse, Response};
 use super::super::document::{self, MetricsProblems};
 use super::super::exposition::{Exposition, MEDIA_TYPE};
 use super::super::{App, Problem};
-use crate::jobs::Load;
+use crate::jobs::{DeliveryCounts, JobError, Load};
 
 /// What the service does, for Prometheus
 ///
@@ -23,6 +23,7 @@ use crate::jobs::Load;
 pub async fn metrics(State(app): State<App>) -> Result<Response, Problem> {
     let mut text = Exposition::default();
     write_load(&mut text, &app.jobs().load().await?);
+    write_deliveries(&mut text, app.jobs().delivery_counts().await.map_err(JobError::from)?);
     app.counters().write(&mut text);
     let headers = [(header::CONTENT_TYPE, MEDIA_TYPE), (header::CACHE_CONTROL, "no-store")];
     Ok((headers, text.into_text()).into_response())
@@ -58,4 +59,10 @@ fn write_load(text: &mut Exposition, load: &Load) {
     for row in &load.stages {
         text.times(&[("preset", row.preset), ("stage", row.stage)], &row.times);
     }
+}
+
+fn write_deliveries(text: &mut Exposition, counts: DeliveryCounts) {
+    text.gauge("webhooks", "Webhooks that were not delivered yet, or given up.");
+    text.sample(&[("state", "waiting")], counts.waiting as f64);
+    text.sample(&[("state", "dead")], counts.dead as f64);
 }

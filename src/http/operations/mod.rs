@@ -11,6 +11,7 @@ pub mod result;
 pub mod retry;
 pub mod status;
 pub mod submit;
+pub mod webhooks;
 
 use axum::extract::{FromRequestParts, Path};
 use axum::http::request::Parts;

@@ -19,8 +19,8 @@ kinds! {
     MALFORMED_REQUEST = BAD_REQUEST, "malformed-request", "The request cannot be read";
     UNKNOWN_PARAMETER = BAD_REQUEST, "unknown-parameter", "There is no such parameter";
     INVALID_PARAMETER = BAD_REQUEST, "invalid-parameter", "A parameter has a value that it cannot take";
-    UNAUTHENTICATED = UNAUTHORIZED, "unauthenticated", "The request has no valid key";
-    FORBIDDEN = FORBIDDEN, "forbidden", "The key does not allow this";
+    UNAUTHENTICATED = UNAUTHORIZED, "unauthenticated", "The request has no valid key or token";
+    FORBIDDEN = FORBIDDEN, "forbidden", "The key or token does not allow this";
     UPLOAD_INCOMPLETE = BAD_REQUEST, "upload-incomplete", "The upload broke off";
     DIGEST_MISMATCH = BAD_REQUEST, "digest-mismatch", "The body is not the one that its digest is of";
     NOT_RETRYABLE = CONFLICT, "not-retryable", "The job did not fail";
@@ -33,6 +33,7 @@ kinds! {
     JOB_DISMISSED = NOT_FOUND, "job-dismissed", "The job was cancelled and has no result";
     JOB_EXPIRED = GONE, "job-expired", "The job was kept for its time and is gone";
     INPUT_REMOVED = CONFLICT, "input-removed", "The job's mesh is no longer kept";
+    WEBHOOK_NOT_FOUND = NOT_FOUND, "webhook-not-found", "There is no such webhook that was given up";
     JOB_PURGED = GONE, "job-purged", "The job was purged";
     METHOD_NOT_ALLOWED = METHOD_NOT_ALLOWED, "method-not-allowed", "The method does not apply to this path";
     NOT_ACCEPTABLE = NOT_ACCEPTABLE, "not-acceptable", "The result has no form that the client accepts";

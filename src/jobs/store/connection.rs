@@ -52,3 +52,8 @@ impl From<sqlx::Error> for StoreError {
         }
     }
 }
+
+/// Whether a row with the same unique value is there already.
+pub(super) fn is_repeated(error: &sqlx::Error) -> bool {
+    error.as_database_error().is_some_and(|inner| inner.is_unique_violation())
+}

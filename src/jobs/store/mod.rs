@@ -1,6 +1,7 @@
 //! The job store: one table, opened by URL.
 
 mod connection;
+mod deliveries;
 mod retention;
 mod row;
 mod sql;
@@ -12,7 +13,10 @@ use std::collections::HashSet;
 
 use futures::future::BoxFuture;
 
-use super::{Counts, Job, JobFailure, JobId, JobStatus, Lease, StoredArtifact};
+use super::{
+    Counts, Delivery, DeliveryCounts, Job, JobFailure, JobId, JobStatus, Lease, Listener, StoredArtifact,
+    Told,
+};
 
 pub use sql::SqlStore;
 
@@ -88,6 +92,48 @@ pub trait RetentionStore {
 
     /// Forgets what expired at `time` or before.
     fn forget_expired(&self, time: i64) -> StoreFuture<'_, ()>;
+}
+
+/// The durable table of what is to be told of jobs' ends. An end is written here with the change of the job's state, for
+/// every listener that there is then.
+pub trait DeliveryStore: Send + Sync + 'static {
+    /// Replaces the listeners; what waits for one that is gone, and is not under way, is given up.
+    fn set_listeners<'a>(&'a self, listeners: &'a [Listener], now: i64) -> StoreFuture<'a, ()>;
+
+    /// What was under way is due again. For the start of a process that has the store for itself.
+    fn release_deliveries(&self, now: i64) -> StoreFuture<'_, u64>;
+
+    /// Whether there is something to claim: asked often, so without the writer.
+    fn is_due<'a>(&'a self, listener: &'a str, now: i64) -> StoreFuture<'a, bool>;
+
+    /// The delivery that is due for the longest, and counts the attempt; nobody else gets it before `until`.
+    fn claim_delivery<'a>(
+        &'a self,
+        listener: &'a str,
+        lease: &'a Lease,
+        now: i64,
+        until: i64,
+    ) -> StoreFuture<'a, Option<Delivery>>;
+
+    /// Removes, puts off or gives up a delivery that is still under `lease`; whether it was.
+    fn settle_delivery<'a>(
+        &'a self,
+        id: &'a str,
+        lease: &'a Lease,
+        told: &'a Told,
+        now: i64,
+    ) -> StoreFuture<'a, bool>;
+
+    /// Those that were given up, the latest first, from the one after `before` on.
+    fn dead<'a>(&'a self, before: Option<&'a str>, limit: u32) -> StoreFuture<'a, Vec<Delivery>>;
+
+    /// One that was given up is due again. `false`: there is none, or its listener is gone.
+    fn revive<'a>(&'a self, id: &'a str, now: i64) -> StoreFuture<'a, bool>;
+
+    /// Removes what was given up at `time` or before.
+    fn forget_dead(&self, time: i64) -> StoreFuture<'_, u64>;
+
+    fn count_deliveries(&self) -> StoreFuture<'_, DeliveryCounts>;
 }
 
 /// The durable table of jobs.

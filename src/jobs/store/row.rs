@@ -16,33 +16,48 @@ where
 }
 
 /// A decoder of the columns of one job, for errors that say which.
-struct Columns<'r> {
+pub(super) struct Columns<'r> {
     row: &'r AnyRow,
     id: String,
 }
 
-impl Columns<'_> {
+impl<'r> Columns<'r> {
+    /// Of a row with an `id`.
+    pub(super) fn of(row: &'r AnyRow) -> Result<Self, StoreError> {
+        Ok(Self { row, id: column(row, "id")? })
+    }
+
     fn corrupt(&self, column: &'static str, detail: impl ToString) -> StoreError {
         StoreError::Corrupt { id: self.id.clone(), column, detail: detail.to_string() }
     }
 
-    fn text(&self, name: &'static str) -> Result<String, StoreError> {
+    pub(super) fn text(&self, name: &'static str) -> Result<String, StoreError> {
         column(self.row, name)
     }
 
-    fn optional_text(&self, name: &'static str) -> Result<Option<String>, StoreError> {
+    pub(super) fn optional_text(&self, name: &'static str) -> Result<Option<String>, StoreError> {
         column(self.row, name)
     }
 
-    fn parsed<T: std::str::FromStr<Err: ToString>>(&self, name: &'static str) -> Result<T, StoreError> {
+    pub(super) fn parsed<T: std::str::FromStr<Err: ToString>>(
+        &self,
+        name: &'static str,
+    ) -> Result<T, StoreError> {
         self.text(name)?.parse().map_err(|error: T::Err| self.corrupt(name, error.to_string()))
     }
 
-    fn json<T: serde::de::DeserializeOwned>(&self, name: &'static str, text: &str) -> Result<T, StoreError> {
+    pub(super) fn json<T: serde::de::DeserializeOwned>(
+        &self,
+        name: &'static str,
+        text: &str,
+    ) -> Result<T, StoreError> {
         serde_json::from_str(text).map_err(|error| self.corrupt(name, error))
     }
 
-    fn number<T: TryFrom<i64, Error: ToString>>(&self, name: &'static str) -> Result<T, StoreError> {
+    pub(super) fn number<T: TryFrom<i64, Error: ToString>>(
+        &self,
+        name: &'static str,
+    ) -> Result<T, StoreError> {
         let value: i64 = column(self.row, name)?;
         T::try_from(value).map_err(|error| self.corrupt(name, error.to_string()))
     }
@@ -50,12 +65,12 @@ impl Columns<'_> {
 
 /// The id in `row`, whatever its other columns hold.
 pub(super) fn id(row: &AnyRow) -> Result<JobId, StoreError> {
-    Columns { row, id: column(row, "id")? }.parsed("id")
+    Columns::of(row)?.parsed("id")
 }
 
 /// The job in `row`, which has every column of the table.
 pub(super) fn job(row: &AnyRow) -> Result<Job, StoreError> {
-    let columns = Columns { row, id: column(row, "id")? };
+    let columns = Columns::of(row)?;
     let error = match columns.optional_text("error")? {
         Some(text) => Some(columns.json("error", &text)?),
         None => None,

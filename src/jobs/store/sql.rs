@@ -8,9 +8,9 @@ use futures::future::BoxFuture;
 use futures::{FutureExt, TryStreamExt};
 use sqlx::any::{AnyArguments, AnyRow};
 use sqlx::query::Query;
-use sqlx::{Any, AnyPool, AssertSqlSafe, Row};
+use sqlx::{Any, AnyPool, AssertSqlSafe, Row, Transaction};
 
-use super::connection::sqlite_pool;
+use super::connection::{is_repeated, sqlite_pool};
 use super::row::{bigint, id, job, json, page};
 use super::{JobStore, ListQuery, Page, Recovered, StoreError, StoreFuture, turns};
 use crate::jobs::{Counts, Job, JobFailure, JobId, JobStatus, Lease, StoredArtifact};
@@ -54,6 +54,16 @@ impl SqlStore {
         Ok(statement.execute(&self.writer).await?.rows_affected())
     }
 
+    /// Runs a change; the rows that it returns.
+    pub(super) async fn changed(&self, statement: Statement<'_>) -> Result<Vec<AnyRow>, StoreError> {
+        // All rows, so that the statement is stepped to its end and commits.
+        Ok(statement.fetch_all(&self.writer).await?)
+    }
+
+    pub(super) async fn begin(&self) -> Result<Transaction<'static, Any>, StoreError> {
+        Ok(self.writer.begin().await?)
+    }
+
     /// Every row that a query gives.
     pub(super) async fn rows(&self, statement: Statement<'_>) -> Result<Vec<AnyRow>, StoreError> {
         Ok(statement.fetch_all(&self.readers).await?)
@@ -71,10 +81,6 @@ impl SqlStore {
         let failure = json(&JobFailure::unreadable_row())?;
         self.change(sqlx::query(sql).bind(failure).bind(now).bind(lease.as_str())).await
     }
-}
-
-fn is_repeated(error: &sqlx::Error) -> bool {
-    error.as_database_error().is_some_and(|inner| inner.is_unique_violation())
 }
 
 impl JobStore for SqlStore {
@@ -170,9 +176,7 @@ impl JobStore for SqlStore {
 
     fn claim<'a>(&'a self, lease: &'a Lease, now: i64) -> StoreFuture<'a, Option<Job>> {
         async move {
-            let query = sqlx::query(turns::CLAIM).bind(lease.as_str()).bind(now);
-            // All rows, so that the statement is stepped to its end and commits.
-            let rows = query.fetch_all(&self.writer).await?;
+            let rows = self.changed(sqlx::query(turns::CLAIM).bind(lease.as_str()).bind(now)).await?;
             let claimed = rows.first().map(job).transpose();
             if let Err(StoreError::Corrupt { .. }) = &claimed {
                 self.fail_unreadable(lease, now).await?;
@@ -284,7 +288,7 @@ impl JobStore for SqlStore {
             let failure = json(&JobFailure::crashed(max_crashes))?;
             let give_up = sqlx::query(turns::GIVE_UP).bind(failure).bind(now).bind(i64::from(max_crashes));
             // All or nothing: a start that dies here must not count a crash twice.
-            let mut transaction = self.writer.begin().await?;
+            let mut transaction = self.begin().await?;
             sqlx::query(turns::COUNT).execute(&mut *transaction).await?;
             let failed = give_up.execute(&mut *transaction).await?.rows_affected();
             let put_back = sqlx::query(turns::PUT_BACK).bind(now);

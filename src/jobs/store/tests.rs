@@ -1,5 +1,6 @@
 //! What every job store must do, tried on SQLite.
 
+mod deliveries;
 mod forms;
 
 use std::collections::HashSet;

@@ -1,0 +1,58 @@
+//! Who a request's key or token is of, where one is needed.
+
+use std::sync::Arc;
+
+use tokio_util::sync::CancellationToken;
+
+use super::jwt::TokenError;
+use super::keys::PREFIX;
+use super::{Caller, Issuer, KeyRing};
+
+/// The keys in force, and the issuer whose tokens are accepted.
+pub struct Gate {
+    keys: KeyRing,
+    issuer: Option<Issuer>,
+}
+
+/// Why it is not known who asks.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum Unknown {
+    #[error("a key or a token is needed")]
+    Nobody,
+    /// The same for a wrong key and a revoked one.
+    #[error("the key is not valid")]
+    Key,
+    #[error(transparent)]
+    Token(#[from] TokenError),
+}
+
+impl Gate {
+    pub fn new(keys: KeyRing, issuer: Option<Issuer>) -> Self {
+        Self { keys, issuer }
+    }
+
+    /// Whether a key or a token is needed.
+    pub fn is_closed(&self) -> bool {
+        self.issuer.is_some() || self.keys.is_closed()
+    }
+
+    /// Keeps the issuer's keys fresh until `closing`.
+    pub(in super::super) fn follow(&self, closing: CancellationToken) {
+        if let Some(issuer) = &self.issuer {
+            issuer.follow(closing);
+        }
+    }
+
+    /// Whom a request with this token comes from.
+    pub(super) async fn caller(&self, token: Option<&str>) -> Result<Caller, Unknown> {
+        match (&self.issuer, token) {
+            (Some(issuer), Some(token)) if !token.starts_with(PREFIX) => {
+                Ok(Caller::Principal(Arc::new(issuer.principal(token).await?)))
+            }
+            (issuer, token) => match self.keys.caller(token) {
+                Some(caller) if issuer.is_none() || token.is_some() && self.keys.is_closed() => Ok(caller),
+                _ => Err(if token.is_some() { Unknown::Key } else { Unknown::Nobody }),
+            },
+        }
+    }
+}

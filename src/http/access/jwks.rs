@@ -1,0 +1,220 @@
+//! The public keys of a token issuer (RFC 7517), from a file or a URL of the operator's.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::sync::{PoisonError, RwLock};
+use std::time::{Duration, Instant};
+
+use jsonwebtoken::jwk::{Jwk, PublicKeyUse};
+use jsonwebtoken::{Algorithm, DecodingKey};
+use serde::Deserialize;
+use tokio::sync::Mutex;
+use tokio_util::sync::CancellationToken;
+
+use crate::outbound::stamp::{Stamp, stamp};
+use crate::outbound::{Client, OutboundError, Url};
+
+/// Bytes of a key set.
+const MOST: usize = 1 << 20;
+/// How long a fetch may take.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// How often the keys at a URL are fetched again, and how soon after a failure.
+const REFRESH: Duration = Duration::from_secs(5 * 60);
+const RETRY: Duration = Duration::from_secs(10);
+/// Of tokens with an unknown key, one in this long makes the keys be fetched: strangers must not make the service ask
+/// its issuer as often as they like.
+const ASK: Duration = Duration::from_secs(5);
+/// Keys that could not be fetched again for this long are no longer trusted: one may have been withdrawn.
+const STALE: Duration = Duration::from_secs(24 * 60 * 60);
+
+/// Why there are no keys.
+#[derive(Debug, thiserror::Error)]
+pub enum JwksError {
+    #[error("the key set {path} cannot be read: {source}")]
+    Io { path: String, source: std::io::Error },
+    #[error("the key set cannot be fetched: {0}")]
+    Fetch(#[from] OutboundError),
+    #[error("the key set is damaged: {0}; it is a JSON object with a list 'keys' (RFC 7517, section 5)")]
+    Damaged(String),
+    #[error("the key set has no public key for signatures by RSA, ECDSA or EdDSA")]
+    Empty,
+}
+
+/// Where the keys are.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum JwksSource {
+    File(PathBuf),
+    Url(Url),
+}
+
+impl JwksSource {
+    /// Whether the keys cross a network in the clear.
+    pub fn is_in_the_clear(&self) -> bool {
+        matches!(self, Self::Url(url) if url.is_in_the_clear())
+    }
+}
+
+impl FromStr for JwksSource {
+    type Err = OutboundError;
+
+    /// Whatever has a scheme is a URL.
+    fn from_str(text: &str) -> Result<Self, OutboundError> {
+        if text.contains("://") { Ok(Self::Url(text.parse()?)) } else { Ok(Self::File(text.into())) }
+    }
+}
+
+/// One key of the set.
+struct PublicKey {
+    id: Option<String>,
+    /// The only algorithm that it is for, where the set says so.
+    algorithm: Option<Algorithm>,
+    key: DecodingKey,
+}
+
+/// The keys in force.
+pub(super) struct Jwks {
+    source: Place,
+    state: RwLock<State>,
+}
+
+enum Place {
+    File(PathBuf),
+    Url {
+        url: Url,
+        client: Client,
+        /// When an unknown key last made the keys be fetched. Held meanwhile: those that come then wait for it.
+        asked: Mutex<Option<Instant>>,
+    },
+}
+
+#[derive(Default)]
+struct State {
+    keys: Vec<PublicKey>,
+    stamp: Stamp,
+    fetched: Option<Instant>,
+}
+
+impl Jwks {
+    /// The keys of a file are read at once; those at a URL come with the first fetch of [`Jwks::follow`], so that a
+    /// service starts also while its issuer is away.
+    ///
+    /// # Errors
+    /// When the file cannot be used, or no client can be made.
+    pub(super) fn open(source: JwksSource) -> Result<Self, JwksError> {
+        let (source, state) = match source {
+            JwksSource::File(path) => {
+                let stamp = stamp(&path);
+                let keys = read(&path)?;
+                (Place::File(path), State { keys, stamp, fetched: None })
+            }
+            JwksSource::Url(url) => {
+                let client = Client::new(PATIENCE)?;
+                (Place::Url { url, client, asked: Mutex::new(None) }, State::default())
+            }
+        };
+        Ok(Self { source, state: RwLock::new(state) })
+    }
+
+    /// The key for a token that names `id` and `algorithm`; without an id, the only one of the set that fits.
+    pub(super) async fn find(&self, id: Option<&str>, algorithm: Algorithm) -> Option<DecodingKey> {
+        if let Place::File(path) = &self.source {
+            self.renew(path);
+        }
+        if let Some(key) = self.known(id, algorithm) {
+            return Some(key);
+        }
+        let Place::Url { asked, .. } = &self.source else { return None };
+        let mut asked = asked.lock().await;
+        if asked.is_none_or(|asked| asked.elapsed() >= ASK) {
+            // What comes of it is logged.
+            self.fetch().await;
+            *asked = Some(Instant::now());
+        }
+        self.known(id, algorithm)
+    }
+
+    fn known(&self, id: Option<&str>, algorithm: Algorithm) -> Option<DecodingKey> {
+        let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
+        if state.fetched.is_some_and(|fetched| fetched.elapsed() > STALE) {
+            return None;
+        }
+        let fits = |key: &&PublicKey| {
+            key.key.family() == algorithm.family() && key.algorithm.is_none_or(|only| only == algorithm)
+        };
+        let mut fitting = state.keys.iter().filter(fits);
+        match id {
+            Some(id) => fitting.find(|key| key.id.as_deref() == Some(id)).map(|key| key.key.clone()),
+            None => fitting.next().filter(|_| fitting.next().is_none()).map(|key| key.key.clone()),
+        }
+    }
+
+    /// Reads a file again that has changed. One that cannot be used lets nobody in: a key may have been withdrawn.
+    fn renew(&self, path: &std::path::Path) {
+        let stamp = stamp(path);
+        if self.state.read().unwrap_or_else(PoisonError::into_inner).stamp == stamp {
+            return;
+        }
+        let keys = read(path).inspect_err(|error| tracing::error!(%error, "no token is let in"));
+        let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
+        *state = State { keys: keys.unwrap_or_default(), stamp, fetched: None };
+    }
+
+    /// Whether the keys were fetched.
+    async fn fetch(&self) -> bool {
+        let Place::Url { url, client, .. } = &self.source else { return true };
+        let fetched = client.get(url, MOST).await.map_err(JwksError::from).and_then(|text| parse(&text));
+        match fetched {
+            Ok(keys) => {
+                let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
+                *state = State { keys, stamp: None, fetched: Some(Instant::now()) };
+                true
+            }
+            Err(error) => {
+                tracing::error!(%error, "the issuer's keys stay those known before");
+                false
+            }
+        }
+    }
+
+    /// Fetches the keys at a URL again and again, until `closing`.
+    pub(super) async fn follow(&self, closing: CancellationToken) {
+        while let Place::Url { .. } = self.source {
+            let pause = if self.fetch().await { REFRESH } else { RETRY };
+            tokio::select! {
+                () = tokio::time::sleep(pause) => {}
+                () = closing.cancelled() => return,
+            }
+        }
+    }
+}
+
+fn read(path: &std::path::Path) -> Result<Vec<PublicKey>, JwksError> {
+    let text = std::fs::read(path);
+    parse(&text.map_err(|source| JwksError::Io { path: path.display().to_string(), source })?)
+}
+
+/// The keys that signatures may be checked with. Others in the set are left out: shared secrets, keys for encryption,
+/// kinds that are not known.
+fn parse(text: &[u8]) -> Result<Vec<PublicKey>, JwksError> {
+    #[derive(Deserialize)]
+    struct Set {
+        keys: Vec<serde_json::Value>,
+    }
+    let set: Set = serde_json::from_slice(text).map_err(|error| JwksError::Damaged(error.to_string()))?;
+    let keys: Vec<PublicKey> = set.keys.into_iter().filter_map(public).collect();
+    if keys.is_empty() { Err(JwksError::Empty) } else { Ok(keys) }
+}
+
+fn public(value: serde_json::Value) -> Option<PublicKey> {
+    let jwk: Jwk = serde_json::from_value(value).ok()?;
+    if !matches!(jwk.common.public_key_use, None | Some(PublicKeyUse::Signature)) {
+        return None;
+    }
+    let algorithm = match jwk.common.key_algorithm {
+        None => None,
+        Some(named) => Some(named.to_string().parse::<Algorithm>().ok()?),
+    };
+    let key = DecodingKey::from_jwk(&jwk).ok()?;
+    let is_public = super::jwt::ALGORITHMS.iter().any(|algorithm| algorithm.family() == key.family());
+    is_public.then_some(PublicKey { id: jwk.common.key_id, algorithm, key })
+}

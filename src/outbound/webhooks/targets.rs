@@ -1,0 +1,246 @@
+//! The file of webhook targets: made by the operator, by hand or with `rosaline webhooks`.
+
+use std::collections::HashSet;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::super::Url;
+use super::signature::Secret;
+use crate::jobs::{JobStatus, Listener};
+
+const NAME_CHARS: usize = 64;
+
+/// Why the targets could not be read or changed.
+#[derive(Debug, thiserror::Error)]
+pub enum TargetError {
+    #[error("the webhook file {path} cannot be used: {source}; it must be readable and its folder writable")]
+    Io { path: String, source: io::Error },
+    #[error("the webhook file {path} is damaged: {detail}; mend it, or remove it and add the targets again")]
+    Damaged { path: String, detail: String },
+    #[error("a name has 1 to {NAME_CHARS} letters, digits, '.', '_' and '-'")]
+    Name,
+    #[error("there is a target '{0}' already; remove it first, or choose another name")]
+    Taken(String),
+    #[error("there is no target '{0}'; 'rosaline webhooks list' shows what there is")]
+    Unknown(String),
+    #[error("the system gives no random numbers: {0}")]
+    Random(getrandom::Error),
+}
+
+/// Somebody whom the service tells of the ends of jobs.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Target {
+    pub name: String,
+    pub url: Url,
+    /// What its messages are signed with.
+    pub secret: Secret,
+    pub events: Vec<Event>,
+    /// Only jobs of this principal; everybody's where there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub owner: Option<String>,
+}
+
+/// An end of a job, as it is named in messages.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Event {
+    #[serde(rename = "job.successful")]
+    Successful,
+    #[serde(rename = "job.failed")]
+    Failed,
+    #[serde(rename = "job.dismissed")]
+    Dismissed,
+}
+
+impl Event {
+    pub const ALL: [Event; 3] = [Event::Successful, Event::Failed, Event::Dismissed];
+
+    pub fn status(self) -> JobStatus {
+        match self {
+            Event::Successful => JobStatus::Successful,
+            Event::Failed => JobStatus::Failed,
+            Event::Dismissed => JobStatus::Dismissed,
+        }
+    }
+}
+
+/// A word that names no [`Event`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("an event is successful, failed or dismissed")]
+pub struct UnknownEvent;
+
+impl std::str::FromStr for Event {
+    type Err = UnknownEvent;
+
+    /// With or without `job.` before it.
+    fn from_str(text: &str) -> Result<Self, UnknownEvent> {
+        let word = text.strip_prefix("job.").unwrap_or(text);
+        Event::ALL.into_iter().find(|event| event.status().name() == word).ok_or(UnknownEvent)
+    }
+}
+
+impl From<&Target> for Listener {
+    fn from(target: &Target) -> Self {
+        let ends = target.events.iter().map(|event| event.status()).collect();
+        Self { name: target.name.clone(), owner: target.owner.clone(), ends }
+    }
+}
+
+#[derive(Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Kept {
+    targets: Vec<Target>,
+}
+
+/// The webhook file.
+#[derive(Debug, Clone)]
+pub struct TargetFile {
+    path: PathBuf,
+}
+
+impl TargetFile {
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into() }
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The targets; none where there is no file.
+    pub fn list(&self) -> Result<Vec<Target>, TargetError> {
+        let text = match fs::read(&self.path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(source) => return Err(self.failed(source)),
+        };
+        let damaged = |detail: String| TargetError::Damaged { path: self.path.display().to_string(), detail };
+        let kept: Kept = serde_json::from_slice(&text).map_err(|error| damaged(error.to_string()))?;
+        let mut names = HashSet::new();
+        for Target { name, .. } in &kept.targets {
+            check_name(name)?;
+            if !names.insert(name) {
+                return Err(damaged(format!("'{name}' is there twice")));
+            }
+        }
+        Ok(kept.targets)
+    }
+
+    /// Adds a target with a new secret; the secret's text.
+    pub fn add(
+        &self,
+        name: &str,
+        url: Url,
+        events: &[Event],
+        owner: Option<String>,
+    ) -> Result<String, TargetError> {
+        check_name(name)?;
+        let secret = Secret::random().map_err(TargetError::Random)?;
+        let text = secret.expose();
+        self.change(|targets| {
+            if targets.iter().any(|target| target.name == name) {
+                return Err(TargetError::Taken(name.to_owned()));
+            }
+            targets.push(Target { name: name.to_owned(), url, secret, events: events.to_vec(), owner });
+            Ok(())
+        })?;
+        Ok(text)
+    }
+
+    pub fn remove(&self, name: &str) -> Result<(), TargetError> {
+        self.change(|targets| {
+            let place = targets.iter().position(|target| target.name == name);
+            targets.remove(place.ok_or_else(|| TargetError::Unknown(name.to_owned()))?);
+            Ok(())
+        })
+    }
+
+    fn change(
+        &self,
+        change: impl FnOnce(&mut Vec<Target>) -> Result<(), TargetError>,
+    ) -> Result<(), TargetError> {
+        // Of two changes at the same time, none is lost.
+        let lock = private().truncate(false).open(self.path.with_extension("lock"));
+        let lock = lock.map_err(|source| self.failed(source))?;
+        lock.lock().map_err(|source| self.failed(source))?;
+        let mut targets = self.list()?;
+        change(&mut targets)?;
+        self.write(&Kept { targets }).map_err(|source| self.failed(source))
+    }
+
+    /// Whole or not at all, for its owner's eyes only.
+    fn write(&self, kept: &Kept) -> io::Result<()> {
+        let temporary = self.path.with_extension("new");
+        let mut file = private().truncate(true).open(&temporary)?;
+        file.write_all(&serde_json::to_vec_pretty(kept)?)?;
+        file.sync_all()?;
+        fs::rename(&temporary, &self.path)?;
+        let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+    }
+
+    fn failed(&self, source: io::Error) -> TargetError {
+        TargetError::Io { path: self.path.display().to_string(), source }
+    }
+}
+
+fn private() -> OpenOptions {
+    let mut options = OpenOptions::new();
+    options.write(true).create(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    options
+}
+
+fn check_name(name: &str) -> Result<(), TargetError> {
+    let fits = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
+    if (1..=NAME_CHARS).contains(&name.len()) && name.bytes().all(fits) {
+        Ok(())
+    } else {
+        Err(TargetError::Name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn targets_are_added_and_removed_and_a_damaged_file_is_told() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = TargetFile::new(dir.path().join("webhooks.json"));
+        assert!(file.list().unwrap().is_empty());
+        let url: Url = "https://pacs.example/hooks".parse().unwrap();
+        let secret = file.add("pacs", url.clone(), &Event::ALL, Some("pacs".to_owned())).unwrap();
+        let other = file.add("viewer", url.clone(), &[Event::Failed], None).unwrap();
+        assert_ne!(secret, other);
+        assert!(matches!(file.add("pacs", url.clone(), &Event::ALL, None), Err(TargetError::Taken(_))));
+        for name in ["", "a b", "ä", &"x".repeat(65)] {
+            assert!(
+                matches!(file.add(name, url.clone(), &Event::ALL, None), Err(TargetError::Name)),
+                "{name}"
+            );
+        }
+        let targets = file.list().unwrap();
+        assert_eq!((targets.len(), targets[0].secret.expose()), (2, secret));
+        assert_eq!(Listener::from(&targets[1]).ends, [JobStatus::Failed]);
+        #[cfg(unix)]
+        assert_eq!(std::os::unix::fs::MetadataExt::mode(&fs::metadata(file.path()).unwrap()) & 0o777, 0o600);
+        file.remove("pacs").unwrap();
+        assert!(matches!(file.remove("pacs"), Err(TargetError::Unknown(_))));
+        let whole = fs::read_to_string(file.path()).unwrap();
+        for (from, to) in [
+            ("{", ""),
+            ("https", "ftp"),
+            ("whsec_", ""),
+            ("job.failed", "job.begun"),
+            ("\"name\"", "\"nome\""),
+        ] {
+            fs::write(file.path(), whole.replacen(from, to, 1)).unwrap();
+            assert!(matches!(file.list(), Err(TargetError::Damaged { .. })), "{from}");
+        }
+    }
+}

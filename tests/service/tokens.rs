@@ -1,0 +1,280 @@
+//! Authentication by JWT: of whom, signed how, and by which keys.
+
+use std::path::Path;
+use std::process::Command;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use axum::http::StatusCode;
+use jsonwebtoken::{Algorithm, EncodingKey, Header, encode};
+use serde_json::{Value, json};
+
+use crate::issuer::{AUDIENCE, ISSUER, KeyFile, Keys, Signer, arguments, at, but, claims, forged, set};
+use crate::meshes;
+use crate::service::{PATIENCE, Service, command, problem};
+
+async fn list(service: &Service, token: &str) -> reqwest::Response {
+    service.get("/v1/jobs").bearer_auth(token).send().await.unwrap()
+}
+
+async fn submitted(service: &Service, token: &str) -> String {
+    let request = service.post("/v1/jobs").header("content-type", "model/stl").body(meshes::small());
+    let response = request.bearer_auth(token).send().await.unwrap();
+    assert_eq!(response.status(), 201);
+    response.headers()["location"].to_str().unwrap().to_owned()
+}
+
+async fn status(service: &Service, job: &str, token: &str) -> u16 {
+    service.get(job).bearer_auth(token).send().await.unwrap().status().as_u16()
+}
+
+fn made_key(data: &Path, name: &str) -> String {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+    command.env_remove("ROSALINE_KEYS").env("ROSALINE_DATA", data);
+    let output = command.args(["keys", "add", name, "--scope", "submit,read"]).output().unwrap();
+    assert!(output.status.success());
+    String::from_utf8(output.stdout).unwrap().trim().to_owned()
+}
+
+/// Users of the audit trail's lines.
+fn users(service: &Service) -> Vec<String> {
+    let text = std::fs::read_to_string(service.data().join("audit.jsonl")).unwrap();
+    let lines = text.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    lines.map(|line| line["ActiveParticipant"][0]["UserID"].as_str().unwrap().to_owned()).collect()
+}
+
+#[tokio::test]
+async fn a_token_lets_its_subject_in_and_its_jobs_are_its_own() {
+    let signers =
+        [Algorithm::ES256, Algorithm::RS256, Algorithm::EdDSA].map(|algorithm| Signer::new("one", algorithm));
+    let signer = &signers[0];
+    let file = KeyFile::new(&set(&[signer]));
+    let service = file.start(&["--listen", "0.0.0.0:0"]);
+    let response = service.get("/v1/jobs").send().await.unwrap();
+    assert_eq!(response.headers()["www-authenticate"], "Bearer realm=\"rosaline\"");
+    problem(response, 401, "unauthenticated").await;
+
+    let anna = signer.sign(&claims("anna", "openid submit read"));
+    let job = submitted(&service, &anna).await;
+    assert_eq!(status(&service, &job, &anna).await, 200);
+    let key = made_key(&service.data(), "anna");
+    let others = [signer.sign(&claims("berta", "submit read")), key.clone()];
+    for other in &others {
+        assert_eq!(status(&service, &job, other).await, 404, "{other}");
+    }
+    let operator = signer.sign(&but(json!({"sub": "operator", "scope": null, "scp": ["rosaline:admin"]})));
+    assert_eq!(status(&service, &job, &operator).await, 200);
+    let theirs = submitted(&service, &key).await;
+    assert_eq!(status(&service, &theirs, &anna).await, 404);
+
+    for (claims, scope) in [
+        (claims("carla", "read"), "submit"),
+        (but(json!({"sub": "carla", "scope": null, "scp": "rosaline:submit"})), "read"),
+        (but(json!({"sub": "carla", "scope": null})), "read"),
+        (claims("carla", "reader admins"), "read"),
+    ] {
+        let token = signer.sign(&claims);
+        let path = service.url.clone() + "/v1/jobs";
+        let request = if scope == "read" { service.client.get(path) } else { service.client.post(path) };
+        let response = request.bearer_auth(&token).send().await.unwrap();
+        let challenge = format!("Bearer realm=\"rosaline\", error=\"insufficient_scope\", scope=\"{scope}\"");
+        assert_eq!(response.headers()["www-authenticate"], challenge.as_str(), "{claims}");
+        assert_eq!(problem(response, 403, "forbidden").await["scope"], scope);
+    }
+    let users = users(&service);
+    for (user, lines) in [("anna", 1), (&format!("{ISSUER}#anna"), 1), (&format!("{ISSUER}#carla"), 4)] {
+        assert_eq!(users.iter().filter(|found| *found == user).count(), lines, "{user}: {users:?}");
+    }
+    // The other kinds of keys.
+    for signer in &signers {
+        file.put(&set(&[signer]));
+        assert_eq!(
+            list(&service, &signer.sign(&claims("anna", "read"))).await.status(),
+            200,
+            "{:?}",
+            signer.algorithm
+        );
+    }
+    assert!(!service.log().contains(&anna) && !service.log().contains("anna"), "{}", service.log());
+}
+
+#[tokio::test]
+async fn what_is_no_valid_token_is_refused_with_the_reason() {
+    let [signer, stranger] = ["one", "one"].map(|id| Signer::new(id, Algorithm::ES256));
+    let rsa = Signer::new("rsa", Algorithm::RS256);
+    let shared = json!({"kty": "oct", "kid": "shared", "k": "c2VjcmV0LXNlY3JldC1zZWNyZXQtc2VjcmV0"});
+    let encryption =
+        json!({"kty": "RSA", "use": "enc", "alg": "RSA-OAEP", "kid": "enc", "n": "AQAB", "e": "AQAB"});
+    let keys = json!({"keys": [signer.public(), rsa.public(), shared, encryption]});
+    let file = KeyFile::new(&keys.to_string());
+    let service = file.start(&[]);
+    let good = claims("anna", "submit read");
+    assert_eq!(list(&service, &signer.sign(&good)).await.status(), 200);
+
+    let hmac = |id: &str, secret: &[u8]| {
+        let header = Header { kid: Some(id.to_owned()), ..Header::new(Algorithm::HS256) };
+        encode(&header, &good, &EncodingKey::from_secret(secret)).unwrap()
+    };
+    let signed = |change: &dyn Fn(&mut Header)| {
+        let mut header = signer.header();
+        change(&mut header);
+        encode(&header, &good, &signer.secret()).unwrap()
+    };
+    let genuine = signer.sign(&good);
+    let (body, signature) = genuine.rsplit_once('.').unwrap();
+    let other = signer.sign(&claims("berta", "admin"));
+    let cases = [
+        ("expired", signer.sign(&but(json!({"exp": at(-120)})))),
+        ("not valid yet", signer.sign(&but(json!({"nbf": at(3600)})))),
+        ("another audience", signer.sign(&but(json!({"aud": "other"})))),
+        ("another audience", signer.sign(&but(json!({"aud": ["other", "third"]})))),
+        ("another issuer", signer.sign(&but(json!({"iss": "https://login.example/realms/other"})))),
+        ("lacks a claim", signer.sign(&but(json!({"iss": [ISSUER]})))),
+        ("lacks a claim", signer.sign(&but(json!({"iss": null})))),
+        ("lacks a claim", signer.sign(&but(json!({"exp": null})))),
+        ("lacks a claim", signer.sign(&but(json!({"exp": "tomorrow"})))),
+        ("lacks a claim", signer.sign(&but(json!({"aud": null})))),
+        ("lacks a claim", signer.sign(&but(json!({"sub": null})))),
+        ("lacks a claim", signer.sign(&but(json!({"sub": ""})))),
+        ("lacks a claim", signer.sign(&but(json!({"sub": "a\nb"})))),
+        ("not accepted", forged(&json!({"alg": "none", "kid": "one"}), &good, "")),
+        ("not accepted", forged(&json!({"alg": "None"}), &good, signature)),
+        ("not accepted", hmac("one", signer.pair.public_key_pem().as_bytes())),
+        ("not accepted", hmac("one", signer.pair.public_key_raw())),
+        ("not accepted", hmac("rsa", rsa.pair.public_key_pem().as_bytes())),
+        ("not accepted", hmac("shared", b"secret-secret-secret-secret")),
+        ("not accepted", signed(&|header| header.crit = Some(vec!["b64".to_owned()]))),
+        ("not by the issuer's key", stranger.sign(&good)),
+        (
+            "not by the issuer's key",
+            signed(&|header| header.alg = Algorithm::ES256).replace(body, other.rsplit_once('.').unwrap().0),
+        ),
+        ("names no key", signed(&|header| header.kid = Some("two".to_owned()))),
+        ("names no key", signed(&|header| header.kid = Some("rsa".to_owned()))),
+        ("names no key", signed(&|header| header.kid = Some("enc".to_owned()))),
+        ("no signed JWT", "rosaline".to_owned()),
+        ("no signed JWT", "a.b.c".to_owned()),
+        ("no signed JWT", format!("{genuine}.x")),
+        ("no signed JWT", format!("{}.{body}.{signature}", "x".repeat(20_000))),
+        ("the key is not valid", "rosaline_0123456789ab_secret".to_owned()),
+    ];
+    for (reason, token) in cases {
+        let response = list(&service, &token).await;
+        let challenge = response.headers()["www-authenticate"].to_str().unwrap().to_owned();
+        assert!(
+            challenge.starts_with("Bearer realm=\"rosaline\", error=\"invalid_token\", error_description=\"")
+        );
+        assert!(challenge.contains(reason), "{reason}: {challenge} for {token}");
+        let body = problem(response, 401, "unauthenticated").await;
+        assert!(body["detail"].as_str().unwrap().contains(reason), "{body}");
+    }
+    // Clocks may differ a little, and an audience be one of several.
+    for changes in [json!({"exp": at(-5)}), json!({"nbf": at(10)}), json!({"aud": ["other", AUDIENCE]})] {
+        assert_eq!(list(&service, &signer.sign(&but(changes))).await.status(), 200);
+    }
+    // Without an id the only key that fits is meant.
+    assert_eq!(list(&service, &signed(&|header| header.kid = None)).await.status(), 200);
+    assert!(users(&service).iter().filter(|user| *user == "anonymous").count() >= 30);
+}
+
+#[tokio::test]
+async fn keys_of_a_file_are_exchanged_while_the_service_runs() {
+    let [old, new] = ["old", "new"].map(|id| Signer::new(id, Algorithm::ES256));
+    let file = KeyFile::new(&set(&[&old]));
+    let service = file.start(&[]);
+    let [by_old, by_new] = [&old, &new].map(|signer| signer.sign(&claims("anna", "read")));
+    let both = async || {
+        (list(&service, &by_old).await.status().as_u16(), list(&service, &by_new).await.status().as_u16())
+    };
+    assert_eq!(both().await, (200, 401));
+    file.put(&set(&[&old, &new]));
+    assert_eq!(both().await, (200, 200));
+    file.put(&set(&[&new]));
+    assert_eq!(both().await, (401, 200));
+    for broken in ["{", "{\"keys\": []}", "[]"] {
+        file.put(broken);
+        assert_eq!(both().await, (401, 401), "{broken}");
+    }
+    std::fs::remove_file(file.path()).unwrap();
+    assert_eq!(both().await, (401, 401));
+    assert_eq!(service.log().matches("no token is let in").count(), 4, "{}", service.log());
+    file.put(&set(&[&new]));
+    assert_eq!(both().await, (401, 200));
+}
+
+/// Asks until this token is answered so.
+async fn until(service: &Service, token: &str, status: u16) {
+    let begin = Instant::now();
+    while list(service, token).await.status() != status {
+        assert!(begin.elapsed() < PATIENCE, "{}", service.log());
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+}
+
+#[tokio::test]
+async fn keys_at_a_url_are_fetched_again_for_an_unknown_one_but_not_at_will() {
+    let [old, new] = ["old", "new"].map(|id| Signer::new(id, Algorithm::ES256));
+    let [by_old, by_new] = [&old, &new].map(|signer| signer.sign(&claims("anna", "read")));
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let url = format!("http://{}/keys", listener.local_addr().unwrap());
+    // The issuer is away: it takes connections and answers none.
+    let data = Arc::new(tempfile::tempdir().unwrap());
+    let key = made_key(data.path(), "pacs");
+    let service = Service::start_on(data, &arguments(&url));
+    assert_eq!(list(&service, &key).await.status(), 200, "keys work without the issuer");
+
+    let keys = Keys::new(set(&[&old]));
+    keys.serve(listener);
+    until(&service, &by_old, 200).await;
+    let before = keys.asked();
+    let begin = Instant::now();
+    for _ in 0..50 {
+        assert_eq!(list(&service, &by_new).await.status(), 401);
+    }
+    // One for each five seconds that this took, and one of the service's own accord.
+    let most = 2 + usize::try_from(begin.elapsed().as_secs() / 5).unwrap();
+    assert!(keys.asked() - before <= most, "{} times in {:?}", keys.asked() - before, begin.elapsed());
+
+    keys.put(StatusCode::OK, set(&[&new]));
+    until(&service, &by_new, 200).await;
+    assert_eq!(list(&service, &by_old).await.status(), 401);
+}
+
+#[tokio::test]
+async fn an_issuer_that_answers_otherwise_gives_no_keys_and_takes_none_away() {
+    let [old, new] = ["old", "new"].map(|id| Signer::new(id, Algorithm::ES256));
+    let [by_old, by_new] = [&old, &new].map(|signer| signer.sign(&claims("anna", "read")));
+    let keys = Keys::new(set(&[&old]));
+    let url = keys.serve(tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap());
+    let service = Service::start(&arguments(&url));
+    until(&service, &by_old, 200).await;
+    // A redirect is not followed, and an error page is no key set.
+    keys.put(StatusCode::FOUND, set(&[&new]));
+    let before = keys.asked();
+    let begin = Instant::now();
+    while keys.asked() == before {
+        assert!(begin.elapsed() < PATIENCE);
+        assert_eq!(list(&service, &by_new).await.status(), 401);
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    assert_eq!(keys.asked(), before + 1, "nothing elsewhere");
+    assert!(service.log().contains("it answered 302"), "{}", service.log());
+    assert_eq!(list(&service, &by_old).await.status(), 200);
+}
+
+#[test]
+fn a_set_up_without_keys_is_refused_at_the_start() {
+    let refused = |arguments: &[&str], word: &str| {
+        let data = tempfile::tempdir().unwrap();
+        let output = command(data.path()).args(arguments).output().unwrap();
+        let line = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{line}");
+        assert!(line.contains(word), "{line}");
+    };
+    let file = KeyFile::new("{\"keys\": []}");
+    refused(&arguments(file.path().to_str().unwrap()), "no public key");
+    refused(&arguments("/nowhere/jwks.json"), "cannot be read");
+    refused(&arguments("ftp://login.example/keys"), "no http or https URL");
+    refused(&arguments("x")[..2], "--jwt-audience");
+    refused(&arguments("x")[4..], "--jwt-issuer");
+}
