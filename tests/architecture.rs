@@ -19,7 +19,7 @@ const MAY_KNOW: [(&str, &[&str]); 9] = [
 ];
 
 /// Crates (and parts of std) with the only rooms that may name them.
-const ONLY_IN: [(&str, &[&str]); 23] = [
+const ONLY_IN: [(&str, &[&str]); 26] = [
     ("zstd", &["jobs"]),
     ("axum", &["http"]),
     ("tower", &["http"]),
@@ -35,6 +35,9 @@ const ONLY_IN: [(&str, &[&str]); 23] = [
     ("tokio", &["jobs", "outbound", "http", "cli"]),
     ("futures", &["jobs", "outbound", "http", "cli"]),
     ("tracing", &["jobs", "outbound", "http", "cli"]),
+    ("opentelemetry", &["jobs", "cli"]),
+    ("opentelemetry_sdk", &["jobs", "cli"]),
+    ("opentelemetry_otlp", &["cli"]),
     ("clap", &["cli"]),
     ("indicatif", &["cli"]),
     // The library has no I/O, no clock and no settings of its own.

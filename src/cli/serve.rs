@@ -1,6 +1,7 @@
 //! `rosaline serve`: the service with its store and workers in one process.
 
 mod args;
+mod otlp;
 
 use std::future::Future;
 use std::io::Write;
@@ -16,11 +17,12 @@ use crate::http::access::{Gate, Issuer, KeyRing};
 use crate::http::audit::Trail;
 use crate::http::{self, App, Limits, Tls};
 use crate::jobs::extraction::Extraction;
-use crate::jobs::{JobService, Retention, Settings, TooManyWorkers, log_panics_without_text};
+use crate::jobs::{JobService, Retention, Settings, Spans, TooManyWorkers, log_panics_without_text};
 use crate::outbound::webhooks::{self, Schedule, TargetFile};
 
 pub use args::Args;
 use args::LogFormat;
+use otlp::Exporter;
 
 /// Serves until SIGTERM or SIGINT.
 ///
@@ -30,10 +32,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
     start_log(args.log_format)?;
     log_panics_without_text();
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
-    runtime.block_on(serve(args))
+    // Outside the runtime, which it would block when it is dropped.
+    let exporter = Exporter::start(args.otlp.as_deref())?;
+    runtime.block_on(serve(args, exporter.spans()))
 }
 
-async fn serve(args: Args) -> Result<(), Failure> {
+async fn serve(args: Args, spans: Spans) -> Result<(), Failure> {
     let stop = stop_signal()?;
     let listener = TcpListener::bind(&args.listen).await.map_err(|error| {
         Failure::new(format!(
@@ -62,7 +66,8 @@ async fn serve(args: Args) -> Result<(), Failure> {
         .map(|(cert, key)| Tls::open(cert, key))
         .transpose()?;
     let is_open = !gate.is_closed();
-    let jobs = JobService::open(settings(&args)?, Arc::new(Extraction::new(limits.mesh))).await?;
+    let runner = Arc::new(Extraction::new(limits.mesh));
+    let jobs = JobService::open(Settings { spans, ..settings(&args)? }, runner).await?;
     let path = args.audit.clone().unwrap_or_else(|| args.data.join("audit.jsonl"));
     let trail = Trail::open(&path, args.audit_rotate.0).map_err(|error| {
         Failure::new(format!(

@@ -14,6 +14,7 @@ use super::operations::{
 };
 use super::problem::{INTERNAL_ERROR, METHOD_NOT_ALLOWED, NOT_FOUND, Problem};
 use super::{App, access, cors, document, lingering, trace};
+use crate::jobs::Spans;
 
 /// Every route; each brings its own part of the document.
 pub fn routes() -> OpenApiRouter<App> {
@@ -40,19 +41,19 @@ pub fn router(app: App) -> Router {
     let (router, _) = routes().split_for_parts();
     let router = router.fallback(not_found).method_not_allowed_fallback(method_not_allowed);
     let admitted = middleware::from_fn_with_state(app.clone(), access::admit);
-    let counters = app.counters().clone();
-    wrapped(router.with_state(app).layer(admitted), counters)
+    let watched = (app.counters().clone(), app.jobs().spans().clone());
+    wrapped(router.with_state(app).layer(admitted), watched)
 }
 
 /// What stands around every route.
-fn wrapped(router: Router, counters: Counters) -> Router {
+fn wrapped(router: Router, watched: (Counters, Spans)) -> Router {
     router
         // Uploads are streams with a limit of their own.
         .layer(DefaultBodyLimit::disable())
         .layer(middleware::from_fn(lingering::linger))
         .layer(CatchPanicLayer::custom(|_: Box<dyn std::any::Any + Send>| panicked()))
         .layer(cors::layer())
-        .layer(middleware::from_fn_with_state(counters, trace::log))
+        .layer(middleware::from_fn_with_state(watched, trace::log))
 }
 
 async fn not_found() -> Problem {
@@ -85,7 +86,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_panic_is_a_problem_without_its_message() {
-        let router = wrapped(Router::new().route("/", get(panics)), Counters::default());
+        let router = wrapped(Router::new().route("/", get(panics)), Default::default());
         let response = router.oneshot(Request::new(Body::empty())).await.unwrap();
         assert_eq!(response.status(), StatusCode::INTERNAL_SERVER_ERROR);
         assert_eq!(response.headers()[header::CONTENT_TYPE], "application/problem+json");

@@ -285,7 +285,7 @@ impl Drop for Watch {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::jobs::{IdSource, JobSpec, ManualClock, StoredInput};
+    use crate::jobs::{IdSource, JobSpec, ManualClock, Spans, StoredInput};
 
     fn id() -> JobId {
         IdSource::new(Arc::new(ManualClock::new(1)), None).next()
@@ -348,7 +348,7 @@ mod tests {
         let entry = board.start(id);
         assert_eq!(board.row(id), None, "claimed: the store knows until its worker has read the row");
         let running = Job { status: JobStatus::Running, updated: 6, ..accepted.clone() };
-        entry.runs(&running, Timeline::start(&running, Arc::default()));
+        entry.runs(&running, Timeline::start(&running, Arc::default(), &Spans::default()));
         assert_eq!(board.row(id), Some(running.clone()));
         entry.touched(9);
         assert_eq!(board.row(id), Some(Job { updated: 9, ..running.clone() }));
@@ -358,7 +358,7 @@ mod tests {
         entry.touched(10);
         let late = board.start(id);
         board.end(id);
-        late.runs(&running, Timeline::start(&running, Arc::default()));
+        late.runs(&running, Timeline::start(&running, Arc::default(), &Spans::default()));
         assert_eq!(board.row(id), None);
         board.accept(&accepted);
         board.end(id);

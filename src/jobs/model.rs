@@ -105,6 +105,8 @@ pub struct Origin {
     pub request_id: Option<String>,
     /// Its own word for the job.
     pub client_reference: Option<String>,
+    /// The span of its request, which the job's run belongs to.
+    pub traceparent: Option<String>,
 }
 
 impl fmt::Debug for Origin {

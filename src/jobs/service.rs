@@ -17,8 +17,8 @@ use super::runner::JobRunner;
 use super::store::{ListQuery, Page};
 use super::worker::{Phase, Shared, Worker};
 use super::{
-    Clock, Counts, IdSource, Job, JobError, JobId, JobSpec, JobStatus, Load, Settings, Storage, StoredInput,
-    SystemClock, Unready,
+    Clock, Counts, IdSource, Job, JobError, JobId, JobSpec, JobStatus, Load, Settings, Spans, Storage,
+    StoredInput, SystemClock, Unready,
 };
 
 /// A mesh that was stored for a job not yet submitted. Dropping it removes the mesh.
@@ -114,6 +114,11 @@ impl JobService {
         housekeeping::keep_reserve(&shared).await;
         workers.push(tokio::spawn(housekeeping::keep(shared.clone())));
         Ok(Arc::new(Self { shared, ids, workers: Mutex::new(workers) }))
+    }
+
+    /// Where spans go.
+    pub fn spans(&self) -> &Spans {
+        &self.shared.settings.spans
     }
 
     fn phase(&self) -> Phase {

@@ -4,7 +4,7 @@ use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::Retention;
+use super::{Retention, Spans};
 
 /// Crashes of a job that ran alone after which it is given up. The `unwrap` is tried when this is compiled.
 pub const MAX_CRASHES: NonZeroU32 = NonZeroU32::new(3).unwrap();
@@ -33,6 +33,8 @@ pub struct Settings {
     pub housekeeping: Duration,
     /// The least time between two writes of a running job's progress to the store.
     pub flush: Duration,
+    /// Where the spans of requests and runs go.
+    pub spans: Spans,
 }
 
 /// More workers than threads.
@@ -59,6 +61,7 @@ impl Settings {
             poll: Duration::from_secs(5),
             housekeeping: Duration::from_secs(60),
             flush: Duration::from_secs(1),
+            spans: Spans::default(),
         }
     }
 

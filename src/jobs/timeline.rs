@@ -2,10 +2,10 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use super::meter::Meter;
-use super::{Job, JobStage, JobStatus};
+use super::{Job, JobStage, JobStatus, Span, SpanKind, Spans};
 use crate::centerline::Preset;
 
 /// Gives the time between two changes of stage to the stage of the first. The components of a surface go through
@@ -17,30 +17,42 @@ pub(super) struct Timeline {
     stage: AtomicUsize,
     /// None once the run is over.
     spent: Mutex<Option<Spent>>,
+    span: Span,
 }
+
+/// Spans of stages in one run: each component of a surface brings its own.
+const MOST_SPANS: usize = 200;
 
 struct Spent {
     stage: JobStage,
     since: Instant,
+    /// The same by the clock that other machines share.
+    begin: SystemTime,
+    spans: usize,
     /// By the stages' indices; none for stages that the run was not in.
     times: [Option<Duration>; JobStage::COUNT],
 }
 
 impl Spent {
-    fn change(&mut self, to: JobStage) {
-        let now = Instant::now();
+    fn change(&mut self, to: JobStage, span: &Span) {
+        let (now, time) = (Instant::now(), SystemTime::now());
         *self.times[self.stage.index()].get_or_insert_default() += now - self.since;
-        (self.stage, self.since) = (to, now);
+        self.spans += 1;
+        if self.spans <= MOST_SPANS {
+            span.past(self.stage.name(), self.begin, time);
+        }
+        (self.stage, self.since, self.begin) = (to, now, time);
     }
 }
 
 impl Timeline {
     /// A run that begins to read now.
-    pub(super) fn start(job: &Job, meter: Arc<Meter>) -> Self {
+    pub(super) fn start(job: &Job, meter: Arc<Meter>, spans: &Spans) -> Self {
         let preset = job.spec.parameters.preset.parse::<Preset>().map_or("other", Preset::name);
-        let stage = JobStage::Reading;
-        let spent = Spent { stage, since: Instant::now(), times: [None; JobStage::COUNT] };
-        Self { preset, meter, stage: AtomicUsize::new(stage.index()), spent: Mutex::new(Some(spent)) }
+        let (stage, begin) = (JobStage::Reading, SystemTime::now());
+        let spent = Spent { stage, since: Instant::now(), begin, spans: 0, times: [None; JobStage::COUNT] };
+        let (stage, spent) = (AtomicUsize::new(stage.index()), Mutex::new(Some(spent)));
+        Self { preset, meter, stage, spent, span: run_span(job, preset, begin, spans) }
     }
 
     /// The run is in this stage.
@@ -48,26 +60,45 @@ impl Timeline {
         if self.stage.swap(stage.index(), Ordering::Relaxed) != stage.index()
             && let Some(spent) = self.spent.lock().unwrap_or_else(PoisonError::into_inner).as_mut()
         {
-            spent.change(stage);
+            spent.change(stage, &self.span);
         }
     }
 
     /// The job has ended so.
     pub(super) fn settled(&self, status: JobStatus) {
         self.meter.ended(status);
+        self.span.set("rosaline.job.outcome", status.name());
+        if status == JobStatus::Failed {
+            self.span.fail();
+        }
     }
 
     /// The run is over: its times are counted, and what it reports from now on is not.
     pub(super) fn end(&self) {
         let spent = self.spent.lock().unwrap_or_else(PoisonError::into_inner).take();
         let Some(mut spent) = spent else { return };
-        spent.change(spent.stage);
+        spent.change(spent.stage, &self.span);
         for (stage, time) in JobStage::all().zip(spent.times) {
             if let Some(time) = time {
                 self.meter.stage(self.preset, stage, time);
             }
         }
     }
+}
+
+/// The span of a run, below the request that submitted its job, beside that of its wait.
+fn run_span(job: &Job, preset: &'static str, now: SystemTime, spans: &Spans) -> Span {
+    let request = job.spec.origin.traceparent.as_deref();
+    let accepted = SystemTime::UNIX_EPOCH + Duration::from_millis(job.created.max(0).unsigned_abs());
+    // Later runs waited for a worker twice, with a run between.
+    if job.attempts <= 1 {
+        spans.past("wait", request, accepted.min(now), now);
+    }
+    let span = spans.begin("run", SpanKind::Consumer, request);
+    span.set("rosaline.job.id", job.id.to_string());
+    span.set("rosaline.job.attempt", i64::from(job.attempts));
+    span.set("rosaline.preset", preset);
+    span
 }
 
 #[cfg(test)]
@@ -83,7 +114,7 @@ mod tests {
         let input = StoredInput { key: "k".into(), size: 1, sha256: "00".into() };
         let mut job = Job::accepted(id, input, JobSpec::default(), 5);
         job.spec.parameters.preset = "paper".to_owned();
-        let timeline = Timeline::start(&job, meter.clone());
+        let timeline = Timeline::start(&job, meter.clone(), &Spans::default());
         for stage in [Stage::Tips, Stage::Tips, Stage::CutPlanes, Stage::Tips] {
             timeline.at(JobStage::Method(stage));
         }

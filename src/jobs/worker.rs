@@ -149,7 +149,7 @@ impl Worker {
         let meter = self.shared.meter.clone();
         let _busy = meter.begin();
         if self.holds(&job, lease).await {
-            entry.runs(&job, Timeline::start(&job, meter.clone()));
+            entry.runs(&job, Timeline::start(&job, meter.clone(), &self.shared.settings.spans));
             match self.read_input(&job, &entry).await {
                 Some(Ok(bytes)) => {
                     let outcome = self.compute(&job, lease, &entry, bytes).await;

@@ -43,6 +43,7 @@ mod storage_faults;
 mod submission;
 mod tls;
 mod tokens;
+mod traces;
 mod trail;
 mod turns;
 mod uploads;

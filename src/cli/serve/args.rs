@@ -102,6 +102,9 @@ pub struct Args {
     /// How long running jobs may go on after SIGTERM or SIGINT, in seconds or with s or m.
     #[arg(long, env = "ROSALINE_GRACE", default_value = "30s", value_name = "TIME")]
     pub grace: Span,
+    /// Base URL of an OpenTelemetry collector (OTLP over HTTP) that gets traces [default: none are sent].
+    #[arg(long, env = "OTEL_EXPORTER_OTLP_ENDPOINT", value_name = "URL")]
+    pub otlp: Option<String>,
     /// Form of the log on stderr.
     #[arg(long, env = "ROSALINE_LOG_FORMAT", default_value = "text", value_name = "FORMAT")]
     pub log_format: LogFormat,

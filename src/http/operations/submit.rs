@@ -14,7 +14,7 @@ use super::super::representation::{StatusDocument, job_path};
 use super::super::upload::{self, Received};
 use super::super::{App, Problem, admission, prefer};
 use super::status::{RETRY_AFTER, tagged};
-use crate::jobs::{FormatHint, Job, JobSpec, Origin, ParameterValues};
+use crate::jobs::{FormatHint, Job, JobSpec, Origin, ParameterValues, Span};
 
 pub const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
@@ -44,13 +44,17 @@ pub async fn submit(State(app): State<App>, caller: Caller, request: Request) ->
     let claim = app.in_flight().claim(request.headers(), caller.owner())?;
     admission::room(&app, &caller).await?;
     let place = admission::place(&app)?;
+    let span = request.extensions().get::<Span>().cloned().unwrap_or_default();
+    let receiving = span.child("receive");
     let mut received = upload::receive(&app, request).await?;
-    drop(place);
+    drop((place, receiving));
     received.owner = caller.owner().map(str::to_owned);
     if received.asked.dry_run {
         return inspect(&app, received).await;
     }
-    let job = accept(&app, received, request_id, claim.as_ref()).await?;
+    let job = accept(&app, received, request_id, claim.as_ref(), &span).await?;
+    // A job may end before its request does, which waits for it then.
+    drop(span);
     drop(claim);
     let job = match wait {
         Some(limit) => until_ended(&app, job, limit).await,
@@ -73,6 +77,7 @@ async fn accept(
     received: Received,
     request_id: Option<String>,
     claim: Option<&Claim>,
+    span: &Span,
 ) -> Result<Job, Problem> {
     let Received { upload, asked, hint, owner } = received;
     let mut spec = JobSpec {
@@ -80,7 +85,11 @@ async fn accept(
         name: asked.name,
         units: asked.units,
         parameters: ParameterValues::from(&asked.parameters),
-        origin: Origin { request_id, client_reference: asked.client_reference },
+        origin: Origin {
+            request_id,
+            client_reference: asked.client_reference,
+            traceparent: span.traceparent(),
+        },
         idempotency: None,
         priority: asked.priority,
         owner,
@@ -92,12 +101,16 @@ async fn accept(
         }
         spec.idempotency = Some(request);
     }
+    let checking = span.child("check");
     let turn = app.validator().turn().await?;
     let bytes = upload.read().await?;
     let format = app.validator().check(turn, bytes, hint).await?;
+    drop(checking);
     // What the content was found to be settles what a second reading could doubt.
     spec.hint = FormatHint { extension: Some(format.name().to_owned()), content_type: None };
+    let committing = span.child("commit");
     let job = app.jobs().submit(upload, spec).await?;
+    drop(committing);
     app.counters().uploaded(job.input.size);
     Ok(job)
 }

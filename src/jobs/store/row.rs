@@ -101,6 +101,7 @@ pub(super) fn job(row: &AnyRow) -> Result<Job, StoreError> {
             origin: Origin {
                 request_id: columns.optional_text("request_id")?,
                 client_reference: columns.optional_text("client_reference")?,
+                traceparent: columns.optional_text("traceparent")?,
             },
             idempotency: columns
                 .optional_text("idempotency_key")?

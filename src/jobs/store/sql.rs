@@ -89,9 +89,9 @@ impl JobStore for SqlStore {
             let sql = "INSERT INTO jobs (id, status, progress, stage, created, started, updated, finished, error, \
                        input_key, input_size, input_sha256, hint_extension, hint_content_type, name, units, parameters, artifacts, \
                        attempts, lease, request_id, client_reference, idempotency_key, idempotency_fingerprint, \
-                       priority, turn, owner) \
+                       priority, turn, owner, traceparent) \
                        VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14, $15, $16, $17, $18, $19, $20, \
-                       $21, $22, $23, $24, $25, $26, $27)";
+                       $21, $22, $23, $24, $25, $26, $27, $28)";
             let error = job.error.as_ref().map(json).transpose()?;
             let statement = sqlx::query(sql)
                 .bind(job.id.to_string())
@@ -120,7 +120,8 @@ impl JobStore for SqlStore {
                 .bind(job.spec.idempotency.as_ref().map(|request| request.fingerprint.clone()))
                 .bind(job.spec.priority.name())
                 .bind(job.spec.priority.turn(bigint(job.id.millis())))
-                .bind(job.spec.owner.clone());
+                .bind(job.spec.owner.clone())
+                .bind(job.spec.origin.traceparent.clone());
             self.change(statement).await.map_err(|error| match error {
                 // Ids are made here and never repeat, so it is the key.
                 StoreError::Database(error) if is_repeated(&error) => StoreError::KeyTaken,

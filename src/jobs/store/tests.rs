@@ -79,7 +79,11 @@ async fn a_job_reads_back_as_it_was_inserted_also_after_reopening() {
     job.spec.priority = Priority::Urgent;
     job.spec.hint = FormatHint { extension: Some("stl".into()), content_type: Some("model/stl".into()) };
     job.spec.parameters.values.insert("omega".into(), 0.1 + 0.2);
-    job.spec.origin = Origin { request_id: Some("r'1".into()), client_reference: Some("ñ \"x\"".into()) };
+    job.spec.origin = Origin {
+        request_id: Some("r'1".into()),
+        client_reference: Some("ñ \"x\"".into()),
+        traceparent: Some("00-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01".into()),
+    };
     job.spec.idempotency = Some(Idempotency { key: "k".into(), fingerprint: "f".into() });
     job.stage = Some("tips".into());
     (job.progress, job.started, job.finished, job.attempts) = (57, Some(3), Some(4), 2);
