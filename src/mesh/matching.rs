@@ -19,52 +19,50 @@ pub struct MatchReport {
     pub conflicting_edges: Sites,
 }
 
-/// The half-edges of every undirected edge, grouped: `members[start[e]..start[e + 1]]`.
+/// The half-edges of every undirected edge, grouped by its smaller vertex: `members[start[v]..start[v + 1]]`.
 struct EdgeGroups {
     start: Vec<u32>,
-    members: Vec<u32>,
+    /// The larger vertex above, the half-edge below: sorted within each vertex.
+    members: Vec<u64>,
 }
 
 impl EdgeGroups {
     /// Counting sort of the half-edges by their smaller vertex, then a small sort by the larger one.
     fn of(mesh: &TriangleMesh) -> Self {
-        let ends = |h: u32| {
-            let triangle = mesh.triangles[(h / 3) as usize];
-            let (a, b) = (triangle[(h % 3) as usize], triangle[(next(h) % 3) as usize]);
-            (a.min(b), a.max(b))
+        let sides = |corners: &[u32; 3]| {
+            let [a, b, c] = *corners;
+            [(a.min(b), a.max(b)), (b.min(c), b.max(c)), (c.min(a), c.max(a))]
         };
-        let half_edges = 3 * mesh.triangles.len() as u32;
-        let mut offset = vec![0u32; mesh.vertices.len() + 1];
-        for h in 0..half_edges {
-            offset[ends(h).0 as usize + 1] += 1;
+        let mut start = vec![0u32; mesh.vertices.len() + 1];
+        for (low, _) in mesh.triangles.iter().flat_map(sides) {
+            start[low as usize] += 1;
         }
-        for v in 1..offset.len() {
-            offset[v] += offset[v - 1];
+        // Each entry comes to be its vertex's end, and is counted down to its start as members come in.
+        for v in 1..start.len() {
+            start[v] += start[v - 1];
         }
-        let mut members = vec![0u32; half_edges as usize];
-        let mut cursor = offset.clone();
-        for h in 0..half_edges {
-            let slot = &mut cursor[ends(h).0 as usize];
-            members[*slot as usize] = h;
-            *slot += 1;
+        let mut members = vec![0u64; 3 * mesh.triangles.len()];
+        for (h, (low, high)) in mesh.triangles.iter().flat_map(sides).enumerate() {
+            let slot = &mut start[low as usize];
+            *slot -= 1;
+            members[*slot as usize] = u64::from(high) << 32 | h as u64;
         }
-        let mut start = vec![0u32];
-        for v in 0..mesh.vertices.len() {
-            let (from, to) = (offset[v] as usize, offset[v + 1] as usize);
-            members[from..to].sort_unstable_by_key(|&h| (ends(h).1, h));
-            for i in from..to {
-                let last = i + 1 == to || ends(members[i + 1]).1 != ends(members[i]).1;
-                if last {
-                    start.push(i as u32 + 1);
-                }
-            }
+        for pair in start.windows(2) {
+            members[pair[0] as usize..pair[1] as usize].sort_unstable();
         }
         Self { start, members }
     }
 
-    fn iter(&self) -> impl Iterator<Item = &[u32]> {
-        self.start.windows(2).map(|pair| &self.members[pair[0] as usize..pair[1] as usize])
+    /// The half-edges of each edge, ascending.
+    fn iter(&self) -> impl Iterator<Item = &[u64]> {
+        let of_vertex = |pair: &[u32]| &self.members[pair[0] as usize..pair[1] as usize];
+        self.start.windows(2).flat_map(move |pair| of_vertex(pair).chunk_by(|a, b| a >> 32 == b >> 32))
     }
+}
+
+/// The half-edge of a member of [`EdgeGroups`].
+fn half_edge(member: u64) -> u32 {
+    member as u32
 }
 
 /// Orients the triangles consistently (in place) and pairs their half-edges.
@@ -85,11 +83,18 @@ pub fn match_half_edges(mesh: &mut TriangleMesh) -> (Vec<u32>, MatchReport) {
     for group in groups.iter() {
         match *group {
             [_] => {}
-            [a, b] if origin(mesh, a) != origin(mesh, b) => pair(a, b),
-            [a, _] => report.conflicting_edges.add(a / 3),
+            [a, b] => {
+                let (a, b) = (half_edge(a), half_edge(b));
+                if origin(mesh, a) != origin(mesh, b) {
+                    pair(a, b);
+                } else {
+                    report.conflicting_edges.add(a / 3);
+                }
+            }
             _ => {
+                let group: Vec<u32> = group.iter().copied().map(half_edge).collect();
                 report.non_manifold_edges.add(group[0] / 3);
-                for (a, b) in pair_by_angle(mesh, group) {
+                for (a, b) in pair_by_angle(mesh, &group) {
                     pair(a, b);
                 }
             }
@@ -104,13 +109,20 @@ fn origin(mesh: &TriangleMesh, h: u32) -> u32 {
 
 /// Flood-fills orientation over the edges with exactly two triangles; the majority in each patch stays.
 fn orient(mesh: &mut TriangleMesh, groups: &EdgeGroups) -> Sites {
+    let pairs = || {
+        groups.iter().filter_map(|group| match *group {
+            [a, b] => Some((half_edge(a), half_edge(b))),
+            _ => None,
+        })
+    };
+    if pairs().all(|(a, b)| origin(mesh, a) != origin(mesh, b)) {
+        return Sites::default();
+    }
     let count = mesh.triangles.len();
     let mut mate = vec![NONE; 3 * count];
-    for group in groups.iter() {
-        if let [a, b] = *group {
-            mate[a as usize] = b;
-            mate[b as usize] = a;
-        }
+    for (a, b) in pairs() {
+        mate[a as usize] = b;
+        mate[b as usize] = a;
     }
     const UNSEEN: u8 = 2;
     let mut turned = vec![UNSEEN; count];

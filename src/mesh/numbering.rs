@@ -18,7 +18,8 @@ pub(super) fn walk(
     let Some(start) = outermost(soup, triangles) else { return Vec::new() };
     name[origin(start) as usize] = 0;
     // For each vertex a half-edge from it: the way back to the one that it was reached from.
-    let mut reached = vec![start];
+    let mut reached = Vec::with_capacity(triangles.len() / 2 + 2);
+    reached.push(start);
     let mut cursor = 0;
     while cursor < reached.len() {
         let mut h = reached[cursor];

@@ -3,6 +3,8 @@
 //! Every stage after this one may rely on it: each vertex has one fan of triangles, each
 //! half-edge an opposite, normals point out of the lumen, and openings are closed by a cap.
 
+use rayon::prelude::*;
+
 use super::TriangleMesh;
 use super::corner_table::{CornerTable, NONE, next, previous};
 use super::matching::{MatchReport, match_half_edges};
@@ -150,24 +152,24 @@ fn check(mesh: &TriangleMesh) -> Result<(), PreparationError> {
 /// Triangles with three different corners, each set of corners once; ascending.
 fn distinct(mesh: &TriangleMesh, report: &mut PreparationReport) -> Vec<u32> {
     let mut sorted: Vec<([u32; 3], u32)> = Vec::with_capacity(mesh.triangles.len());
+    let mut kept = vec![true; mesh.triangles.len()];
     for (t, triangle) in mesh.triangles.iter().enumerate() {
         let mut key = *triangle;
         key.sort_unstable();
         if key[0] == key[1] || key[1] == key[2] {
             report.degenerate.add(t as u32);
+            kept[t] = false;
         } else {
             sorted.push((key, t as u32));
         }
     }
-    sorted.sort_unstable();
+    sorted.par_sort_unstable();
     let repeated = sorted.windows(2).filter(|pair| pair[0].0 == pair[1].0);
     let mut repeated: Vec<u32> = repeated.map(|pair| pair[1].1).collect();
     repeated.sort_unstable();
+    repeated.iter().for_each(|&t| kept[t as usize] = false);
     report.duplicates = repeated.into_iter().collect();
-    sorted.dedup_by_key(|entry| entry.0);
-    let mut kept: Vec<u32> = sorted.into_iter().map(|entry| entry.1).collect();
-    kept.sort_unstable();
-    kept
+    (0..mesh.triangles.len() as u32).filter(|&t| kept[t as usize]).collect()
 }
 
 /// Gives each fan of triangles around a vertex a vertex of its own; returns the vertices that were doubled.
@@ -188,31 +190,31 @@ fn split_fans(mesh: &mut TriangleMesh, opposite: &[u32]) -> Sites {
         } else {
             owner[v as usize] = start;
         }
-        for h in fan(opposite, start) {
+        let triangles = &mut mesh.triangles;
+        for_each_in_fan(opposite, start, |h| {
             seen[h as usize] = true;
-            mesh.triangles[(h / 3) as usize][(h % 3) as usize] = name;
-        }
+            triangles[(h / 3) as usize][(h % 3) as usize] = name;
+        });
     }
     doubled
 }
 
-/// All half-edges that start at the same corner of one fan as `start`.
-fn fan(opposite: &[u32], start: u32) -> Vec<u32> {
-    let mut half_edges = vec![start];
+/// Calls `visit` with each half-edge that starts at the same corner of one fan as `start`.
+fn for_each_in_fan(opposite: &[u32], start: u32, mut visit: impl FnMut(u32)) {
+    visit(start);
     let mut h = opposite[previous(start) as usize];
     while h != NONE && h != start {
-        half_edges.push(h);
+        visit(h);
         h = opposite[previous(h) as usize];
     }
     if h == NONE {
         h = opposite[start as usize];
         while h != NONE {
             h = next(h);
-            half_edges.push(h);
+            visit(h);
             h = opposite[h as usize];
         }
     }
-    half_edges
 }
 
 /// Cuts the closed soup into its connected components, each oriented outward.
@@ -281,7 +283,9 @@ fn component_triangles(opposite: &[u32], count: usize) -> (Vec<u32>, Vec<Vec<u32
         }
         found += 1;
     }
-    let mut members = vec![Vec::new(); found as usize];
+    let mut sizes = vec![0; found as usize];
+    component.iter().for_each(|&c| sizes[c as usize] += 1);
+    let mut members: Vec<Vec<u32>> = sizes.into_iter().map(Vec::with_capacity).collect();
     for (t, &c) in component.iter().enumerate() {
         members[c as usize].push(t as u32);
     }
