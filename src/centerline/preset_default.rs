@@ -302,11 +302,11 @@ fn lead_in(
         pool.extend(track.rings.iter().filter(near).cloned());
     }
     let rings: Vec<&LevelSet> = pool.iter().collect();
-    for &(track, at_end) in incident {
-        if network.tracks[track].bulge.is_none() {
-            network.oriented(track, at_end, |track| run_to_centre(surface, owners, track, centre, &rings));
+    network.all_oriented(incident, |track| {
+        if track.bulge.is_none() {
+            run_to_centre(surface, owners, track, centre, &rings);
         }
-    }
+    });
 }
 
 /// Fits the joints to all the wall around them.

@@ -95,6 +95,19 @@ pub struct Track {
     pub process: Process,
 }
 
+impl Track {
+    /// Lets `work` see the track from the side of its end, or turned around.
+    pub fn oriented<T>(&mut self, at_end: bool, work: impl FnOnce(&mut Self) -> T) -> T {
+        if at_end {
+            return work(self);
+        }
+        self.reverse();
+        let result = work(self);
+        self.reverse();
+        result
+    }
+}
+
 /// The level sets of a chain, one every [`SPACING`] radii. O(edges crossed).
 pub fn rings(surface: &Surface, graph: &ReebGraph, chain: &Chain) -> Vec<LevelSet> {
     let level = |node: u32| graph.nodes[node as usize].level;

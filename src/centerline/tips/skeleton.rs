@@ -1,11 +1,13 @@
 //! The Reeb graph that the line hangs on, and which of its arcs are branches.
 
+use rayon::prelude::*;
+
 use crate::mesh::preparation::Surface;
 
 use super::geodesic::{EdgeGraph, geodesic};
 use super::picks::{Kept, Picks, keep, root_near};
 use super::reeb::{ReebGraph, reeb_graph};
-use super::root::{Among, roots};
+use super::root::{Among, Root, roots};
 use super::{Branching, Choice, chains, farthest};
 use crate::centerline::{Control, ExtractError, Stage};
 
@@ -40,16 +42,20 @@ pub fn skeleton(
         Some(pick) => vec![root_near(surface, &graph, &first, pick.vertex)],
         None => roots(surface, &graph, &first, among),
     };
-    for root in candidates {
+    let seen_from = |root: &Root| {
         let mut edges = edges.clone();
         edges.shrink(&root.cap);
         let distance = geodesic(&edges, &[root.vertex], cancel)?;
         let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
         let found = chains(surface, &graph, &choice, cancel)?;
-        control.report(Stage::Segmentation, 0.4)?;
-        let more = |(_, best, ..): &(ReebGraph, Branching, EdgeGraph, u32)| found.ends() > best.ends();
+        Ok((graph, found, edges, root.vertex))
+    };
+    let all = candidates.par_iter().map(seen_from).collect::<Result<Vec<_>, ExtractError>>()?;
+    control.report(Stage::Segmentation, 0.4)?;
+    for seen in all {
+        let more = |best: &(ReebGraph, Branching, EdgeGraph, u32)| seen.1.ends() > best.1.ends();
         if best.as_ref().is_none_or(more) {
-            best = Some((graph, found, edges, root.vertex));
+            best = Some(seen);
         }
     }
     let (graph, branching, mut edges, source) = best.unwrap_or((graph, first, edges, source));
