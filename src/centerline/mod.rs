@@ -38,6 +38,8 @@ pub use parameters::{
 };
 pub use quality::{Centeredness, Homotopy, Quality};
 
+use rayon::prelude::*;
+
 use crate::mesh::TriangleMesh;
 use crate::mesh::preparation::{
     PreparationError, PreparationReport, Prepared, Sites, Surface, prepare_while,
@@ -46,7 +48,7 @@ use component::ComponentGraph;
 use line_tree::LineTree;
 use own_sections::own_sections;
 use quality::{Line, Measured};
-use tips::picks;
+use tips::picks::{self, Picks};
 use triangle_grid::TriangleGrid;
 
 /// A component smaller than this share of the largest one's diagonal is a speck of the segmentation.
@@ -73,71 +75,111 @@ pub fn extract(
     }
     let mut extraction = Extraction { surface: summary(&prepared), ..Extraction::default() };
     extraction.warnings = repair_warnings(&prepared.report);
-    let mut measured = Measured::default();
-    let mut refusal = None;
-    let mut specks = 0;
     let parts = parts(&prepared.components);
     let taken = prepared.components.iter().zip(&parts).map(|(surface, part)| part.as_ref().map(|_| surface));
     let picks = picks::place(&taken.collect::<Vec<_>>(), diagonal, parameters, &control.cancel)?;
-    let mut graphs: Vec<ComponentGraph> = Vec::new();
-    for (index, ((surface, part), picks)) in prepared.components.iter_mut().zip(parts).zip(&picks).enumerate()
-    {
-        let Some(part) = part else {
-            specks += 1;
-            continue;
-        };
-        let control = &control.of_part(part);
-        if parameters.smoothing() {
-            // The cuts stay where they are.
-            let openings = surface.openings.iter();
-            let cuts: Vec<u32> = openings.flat_map(|o| o.rim.iter().copied().chain([o.centre])).collect();
-            smoothing_filter::smooth(&mut surface.mesh, &cuts, control)?;
-        }
-        let grid = TriangleGrid::new(surface);
-        let found = match parameters.preset() {
-            Preset::Default => preset_default::extract_component(&grid, parameters, picks, control),
-            Preset::Paper => preset_paper::extract_component(surface, diagonal, parameters, picks, control),
-        };
-        match found {
-            Ok(mut graph) => {
-                if let Some(root) = picks.root {
-                    orientation::tell_from(&mut graph, &surface.mesh.vertices[root.vertex as usize]);
-                }
-                extraction.warnings.extend(settle_and_measure(&mut measured, index, &grid, &mut graph));
-                // The root's component comes first, so that the root is the first node of all.
-                graphs.insert(if picks.root.is_some() { 0 } else { graphs.len() }, graph);
-            }
-            Err(ExtractError::Cancelled) => return Err(ExtractError::Cancelled),
-            Err(error) => {
-                let detail = format!("component {index} has no centerline: {error}");
-                extraction.warnings.push(Warning { code: "component-skipped", detail });
-                refusal = Some(error);
-            }
-        }
-    }
+    let work = prepared.components.par_iter_mut().zip(&parts).zip(&picks).enumerate();
+    let lines = work.filter_map(|(index, ((surface, part), picks))| {
+        let control = &control.of_part((*part)?);
+        Some((index, component(index, surface, (diagonal, parameters, picks), control)))
+    });
+    let lines: Vec<(usize, Result<ComponentLine, ExtractError>)> = lines.collect();
+    let specks = parts.iter().filter(|part| part.is_none()).count();
+    put_together(&mut extraction, lines, &picks)?;
     if specks > 0 {
         let detail = format!("{specks} components smaller than {SPECK} of the largest were left out");
         extraction.warnings.push(Warning { code: "specks-skipped", detail });
     }
-    graphs.into_iter().for_each(|graph| append(&mut extraction, graph));
-    extraction.quality = measured.quality();
-    match refusal {
-        Some(error) if extraction.centerline.branches.is_empty() => Err(error),
-        _ => Ok(extraction),
-    }
+    Ok(extraction)
 }
 
-/// Sets the equivalent radii of a component's line and measures how good it is; returns the warnings of what fails.
-fn settle_and_measure(
-    measured: &mut Measured,
+/// A component's line, how good it is, and the warnings of what fails.
+struct ComponentLine {
+    graph: ComponentGraph,
+    measured: Measured,
+    warnings: Vec<Warning>,
+}
+
+/// Extracts and measures the line of component `index`.
+fn component(
     index: usize,
-    grid: &TriangleGrid<'_>,
-    graph: &mut ComponentGraph,
-) -> Vec<Warning> {
-    let (surface, tree) = (grid.surface(), LineTree::new(graph));
-    let sections = own_sections(surface, grid, &tree, graph);
-    equivalent_radius::settle(graph, &sections);
-    measured.add(index, Line { surface, grid, graph, tree: &tree, sections: &sections })
+    surface: &mut Surface,
+    (diagonal, parameters, picks): (f64, &Parameters, &Picks),
+    control: &Control<'_>,
+) -> Result<ComponentLine, ExtractError> {
+    refuse_sheet(surface)?;
+    if parameters.smoothing() {
+        // The cuts stay where they are.
+        let openings = surface.openings.iter();
+        let cuts: Vec<u32> = openings.flat_map(|o| o.rim.iter().copied().chain([o.centre])).collect();
+        smoothing_filter::smooth(&mut surface.mesh, &cuts, control)?;
+    }
+    let grid = TriangleGrid::new(surface);
+    let mut graph = match parameters.preset() {
+        Preset::Default => preset_default::extract_component(&grid, parameters, picks, control),
+        Preset::Paper => preset_paper::extract_component(surface, diagonal, parameters, picks, control),
+    }?;
+    if let Some(root) = picks.root {
+        orientation::tell_from(&mut graph, &surface.mesh.vertices[root.vertex as usize]);
+    }
+    let tree = LineTree::new(&graph);
+    let sections = own_sections(surface, &grid, &tree, &graph);
+    equivalent_radius::settle(&mut graph, &sections);
+    let line = Line { surface, grid: &grid, graph: &graph, tree: &tree, sections: &sections };
+    let (measured, warnings) = Measured::of(index, line);
+    Ok(ComponentLine { graph, measured, warnings })
+}
+
+/// Refuses a component that encloses nothing, before anything is looked for on it: a soup has thousands.
+fn refuse_sheet(surface: &Surface) -> Result<(), ExtractError> {
+    /// Least volume against the area to the power of one and a half: that of a tube a million radii long is twenty
+    /// times as much.
+    const LUMEN: f64 = 1e-5;
+    if surface.volume() < LUMEN * surface.area().powf(1.5) {
+        return Err(ExtractError::NotTubular { detail: "it encloses no lumen: it is a sheet".to_owned() });
+    }
+    Ok(())
+}
+
+/// The lines of all components as one result; the refusal of the last where none has a line.
+fn put_together(
+    extraction: &mut Extraction,
+    lines: Vec<(usize, Result<ComponentLine, ExtractError>)>,
+    picks: &[Picks],
+) -> Result<(), ExtractError> {
+    /// So many components without a line are told one by one.
+    const TOLD: usize = 16;
+    let mut measured = Measured::default();
+    let mut graphs: Vec<ComponentGraph> = Vec::new();
+    let mut refusals = Vec::new();
+    for (index, line) in lines {
+        match line {
+            Ok(line) => {
+                extraction.warnings.extend(line.warnings);
+                measured.add(&line.measured);
+                // The root's component comes first, so that the root is the first node of all.
+                graphs.insert(if picks[index].root.is_some() { 0 } else { graphs.len() }, line.graph);
+            }
+            Err(ExtractError::Cancelled) => return Err(ExtractError::Cancelled),
+            Err(error) => {
+                let detail = format!("component {index} has no centerline: {error}");
+                if refusals.len() < TOLD {
+                    extraction.warnings.push(Warning { code: "component-skipped", detail });
+                }
+                refusals.push(error);
+            }
+        }
+    }
+    if refusals.len() > TOLD {
+        let detail = format!("{} more components have no centerline", refusals.len() - TOLD);
+        extraction.warnings.push(Warning { code: "component-skipped", detail });
+    }
+    graphs.into_iter().for_each(|graph| append(extraction, graph));
+    extraction.quality = measured.quality();
+    match refusals.pop() {
+        Some(error) if extraction.centerline.branches.is_empty() => Err(error),
+        _ => Ok(()),
+    }
 }
 
 /// The part of the work that each component is, by its vertices; `None` for specks.
@@ -169,6 +211,12 @@ fn summary(prepared: &Prepared) -> SurfaceSummary {
 /// Repairs that a user should know of, with their counts and the numbers of the first.
 fn repair_warnings(report: &PreparationReport) -> Vec<Warning> {
     let found = [
+        (
+            "snapped-vertices",
+            report.snapped_vertices,
+            "vertices of a mesh in pieces became one with another within a millionth of its diagonal",
+            "vertex",
+        ),
         (
             "degenerate-triangles",
             report.degenerate,

@@ -90,6 +90,12 @@ fn repaired(report: &PreparationReport) -> Vec<Defect> {
     };
     let matching = &report.matching;
     let mut defects = vec![
+        found(
+            "snapped-vertices",
+            report.snapped_vertices,
+            "vertex",
+            "it lies within a millionth of the diagonal of another of a mesh in pieces; made one with it",
+        ),
         found("degenerate-triangles", report.degenerate, "triangle", "two corners are equal; left out"),
         found("duplicate-triangles", report.duplicates, "triangle", "it repeats another; left out"),
         found("flipped-triangles", matching.flipped, "triangle", "wound against its neighbours; turned"),

@@ -9,6 +9,7 @@ mod numbering;
 mod openings;
 pub mod preparation;
 mod sites;
+mod snapping;
 mod units;
 mod weld;
 

@@ -11,6 +11,7 @@ use super::matching::{MatchReport, match_half_edges};
 use super::measures::{area, diagonal, signed_volume, total_area};
 use super::numbering::walk;
 use super::openings::{CappedOpening, cap};
+use super::snapping::snap;
 
 pub use super::openings::Opening;
 pub use super::sites::Sites;
@@ -75,6 +76,8 @@ pub struct PreparationReport {
     pub vertices: usize,
     pub triangles: usize,
     pub diagonal: f64,
+    /// Vertices of a mesh in pieces that became one with another next to them.
+    pub snapped_vertices: Sites,
     /// Triangles left out.
     pub degenerate: Sites,
     /// Triangles left out.
@@ -87,7 +90,7 @@ pub struct PreparationReport {
 
 /// Makes closed manifold surfaces of a welded triangle list.
 ///
-/// Degenerate and duplicate triangles go, orientation is made consistent and outward, edges and
+/// A mesh that rounding took apart is joined, degenerate and duplicate triangles go, orientation is made consistent and outward, edges and
 /// vertices where surfaces touch come apart, openings are capped. O(n log n).
 pub fn prepare(mesh: &TriangleMesh) -> Result<Prepared, PreparationError> {
     prepare_while(mesh, || Ok(()))
@@ -111,8 +114,11 @@ pub fn prepare_while<E: From<PreparationError>>(
         triangles: mesh.triangles.len(),
         ..Default::default()
     };
-    let kept = distinct(mesh, &mut report);
-    let triangles = kept.iter().map(|&t| mesh.triangles[t as usize]).collect();
+    let snapped = snap(mesh);
+    let given = snapped.as_ref().map_or(&mesh.triangles, |(triangles, _)| triangles);
+    report.snapped_vertices = snapped.as_ref().map_or_else(Sites::default, |(_, moved)| *moved);
+    let kept = distinct(given, &mut report);
+    let triangles = kept.iter().map(|&t| given[t as usize]).collect();
     let mut soup = TriangleMesh { vertices: mesh.vertices.clone(), triangles };
     report.diagonal = diagonal(&soup);
     if soup.triangles.iter().all(|t| area(&soup, t) <= 1e-14 * report.diagonal * report.diagonal) {
@@ -150,10 +156,10 @@ fn check(mesh: &TriangleMesh) -> Result<(), PreparationError> {
 }
 
 /// Triangles with three different corners, each set of corners once; ascending.
-fn distinct(mesh: &TriangleMesh, report: &mut PreparationReport) -> Vec<u32> {
-    let mut sorted: Vec<([u32; 3], u32)> = Vec::with_capacity(mesh.triangles.len());
-    let mut kept = vec![true; mesh.triangles.len()];
-    for (t, triangle) in mesh.triangles.iter().enumerate() {
+fn distinct(triangles: &[[u32; 3]], report: &mut PreparationReport) -> Vec<u32> {
+    let mut sorted: Vec<([u32; 3], u32)> = Vec::with_capacity(triangles.len());
+    let mut kept = vec![true; triangles.len()];
+    for (t, triangle) in triangles.iter().enumerate() {
         let mut key = *triangle;
         key.sort_unstable();
         if key[0] == key[1] || key[1] == key[2] {
@@ -169,7 +175,7 @@ fn distinct(mesh: &TriangleMesh, report: &mut PreparationReport) -> Vec<u32> {
     repeated.sort_unstable();
     repeated.iter().for_each(|&t| kept[t as usize] = false);
     report.duplicates = repeated.into_iter().collect();
-    (0..mesh.triangles.len() as u32).filter(|&t| kept[t as usize]).collect()
+    (0..triangles.len() as u32).filter(|&t| kept[t as usize]).collect()
 }
 
 /// Gives each fan of triangles around a vertex a vertex of its own; returns the vertices that were doubled.
@@ -233,8 +239,7 @@ fn split_components<E>(
         go_on()?;
         let vertices = walk(&soup, &opposite, triangles, &mut vertex_name);
         go_on()?;
-        let mut mesh = TriangleMesh { vertices, triangles: Vec::new() };
-        mesh.triangles.reserve(triangles.len());
+        let mut mesh = TriangleMesh { vertices, triangles: Vec::with_capacity(triangles.len()) };
         for (i, &t) in triangles.iter().enumerate() {
             triangle_name[t as usize] = i as u32;
             mesh.triangles.push(soup.triangles[t as usize].map(|v| vertex_name[v as usize]));

@@ -67,22 +67,29 @@ pub struct Measured {
 }
 
 impl Measured {
-    /// Adds the line of component `index`; returns the warnings of what fails.
+    /// The line of component `index` alone, with the warnings of what fails.
     ///
     /// O(points of the line x (triangles nearby + log segments)).
-    pub fn add(&mut self, index: usize, line: Line<'_>) -> Vec<Warning> {
+    pub fn of(index: usize, line: Line<'_>) -> (Self, Vec<Warning>) {
         let Line { surface, grid, graph, tree, sections } = line;
         let homotopy = Homotopy::of(surface, graph);
         let inside = inside::measure(grid, graph);
         let covered = coverage::measure(surface, tree);
         let warnings = [homotopy.warning(index), inside.warning(index), covered.warning(index, tree)];
-        self.offsets.add(&centeredness::measure(sections));
-        self.homotopy.add(&homotopy);
-        self.inside.add(&inside);
-        self.covered.add(&covered);
-        self.thick |= !thinness::is_thin(tree, graph);
-        self.components += 1;
-        warnings.into_iter().flatten().collect()
+        let offsets = centeredness::measure(sections);
+        let thick = !thinness::is_thin(tree, graph);
+        let measured = Self { components: 1, homotopy, inside, offsets, covered, thick };
+        (measured, warnings.into_iter().flatten().collect())
+    }
+
+    /// Adds what was measured of other components.
+    pub fn add(&mut self, other: &Self) {
+        self.offsets.add(&other.offsets);
+        self.homotopy.add(&other.homotopy);
+        self.inside.add(&other.inside);
+        self.covered.add(&other.covered);
+        self.thick |= other.thick;
+        self.components += other.components;
     }
 
     /// `None` when no component was added.
@@ -133,10 +140,9 @@ mod tests {
     }
 
     fn measured(surface: &Surface, graph: &ComponentGraph) -> (Quality, Vec<&'static str>) {
-        let mut sum = Measured::default();
         let (grid, tree) = (TriangleGrid::new(surface), LineTree::new(graph));
         let sections = &own_sections(surface, &grid, &tree, graph);
-        let warnings = sum.add(0, Line { surface, grid: &grid, graph, tree: &tree, sections });
+        let (sum, warnings) = Measured::of(0, Line { surface, grid: &grid, graph, tree: &tree, sections });
         (sum.quality().unwrap(), warnings.iter().map(|warning| warning.code).collect())
     }
 
