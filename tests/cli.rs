@@ -114,6 +114,23 @@ fn verbose_tells_what_was_found_and_how_long_each_stage_took() {
 }
 
 #[test]
+fn times_come_as_json_for_a_program() {
+    let folder = bifurcation();
+    let output =
+        done(folder.path(), &["extract", "vessel.stl", "-o", "line.json", "-v", "--timings", "json"]);
+    let told: Value = serde_json::from_slice(&output.stderr).unwrap();
+    assert_eq!((&told["branches"], &told["ends"], &told["units"]), (&3.into(), &3.into(), &"mm".into()));
+    let seconds = told["seconds"].as_object().unwrap();
+    let stages = rosaline::centerline::Stage::ALL.map(|stage| stage.name());
+    let all: Vec<&str> = ["reading"].into_iter().chain(stages).chain(["writing"]).collect();
+    let sum: f64 = all.iter().map(|stage| seconds[*stage].as_f64().unwrap()).sum();
+    let total = seconds["total"].as_f64().unwrap();
+    assert!((sum - total).abs() < 1e-6 && seconds["tips"].as_f64().unwrap() > 0.0, "{told}");
+    let line = failure(folder.path(), &["extract", "vessel.stl", "-o", "line.json", "--timings", "json"]);
+    assert!(line.contains("--verbose"), "{line}");
+}
+
+#[test]
 fn units_and_parameters_go_into_the_result() {
     let folder = bifurcation();
     let words = ["extract", "vessel.stl", "-o", "line.json", "--units", "cm", "--tip_height", "1.25"];

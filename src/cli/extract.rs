@@ -2,8 +2,9 @@
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
+use serde_json::json;
 use sha2::{Digest, Sha256};
 
 use crate::centerline::{self, CancelToken, Control, Extraction, Parameters};
@@ -31,8 +32,18 @@ pub struct Args {
     /// Print the time of each stage, and what was found, to stderr.
     #[arg(short, long)]
     verbose: bool,
+    /// How --verbose tells it: as text, or as one line of JSON for a program.
+    #[arg(long, value_name = "FORMAT", value_enum, default_value_t, requires = "verbose")]
+    timings: TimingsFormat,
     #[command(flatten)]
     parameters: ParameterArgs,
+}
+
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+enum TimingsFormat {
+    #[default]
+    Text,
+    Json,
 }
 
 /// Reads, extracts and writes; `-o` is written whole or not at all.
@@ -45,8 +56,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let start = Instant::now();
     let bytes = files::read(&args.mesh)?;
     let hint = Hint { extension: args.mesh.extension().and_then(|text| text.to_str()), content_type: None };
-    let (mesh, format) = format::read(&bytes, hint, &Limits::default())?;
-    let sha256 = hexadecimal(&Sha256::digest(&bytes));
+    let read = || format::read(&bytes, hint, &Limits::default());
+    let (read, digest) = pool.join(read, || Sha256::digest(&bytes));
+    let ((mesh, format), sha256) = (read?, hexadecimal(&digest));
     drop(bytes);
     let reading = start.elapsed();
 
@@ -60,7 +72,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut timings = vec![("reading", reading)];
     timings.extend(stages);
     timings.push(("writing", start.elapsed()));
-    tell(&document, args.verbose.then(|| progress::table(&timings)));
+    tell(&document, args.verbose.then_some((args.timings, &timings[..])));
     Ok(())
 }
 
@@ -71,7 +83,7 @@ fn output_format(path: &Path) -> Result<OutputFormat, Failure> {
     })
 }
 
-type Timings = Vec<(&'static str, std::time::Duration)>;
+type Timings = Vec<(&'static str, Duration)>;
 
 fn extract(
     mesh: &TriangleMesh,
@@ -87,16 +99,27 @@ fn extract(
 }
 
 /// Warnings always go to stderr, the rest only when it was asked for.
-fn tell(document: &ResultDocument, timings: Option<String>) {
+fn tell(document: &ResultDocument, timings: Option<(TimingsFormat, &[(&'static str, Duration)])>) {
     let mut text = String::new();
     for warning in &document.warnings {
         text += &format!("rosaline: warning: {}: {}\n", warning.code, warning.detail);
     }
-    if let Some(timings) = timings {
-        let ends = document.nodes.iter().filter(|node| node.degree == 1).count();
-        let length: f64 = document.branches.iter().map(|branch| branch.length).sum();
-        let (branches, units) = (document.branches.len(), &document.units);
-        text += &format!("{branches} branches, {ends} ends, {length:.3} {units}\n{timings}");
+    let ends = document.nodes.iter().filter(|node| node.degree == 1).count();
+    let length: f64 = document.branches.iter().map(|branch| branch.length).sum();
+    let (branches, units) = (document.branches.len(), &document.units);
+    match timings {
+        None => {}
+        Some((TimingsFormat::Text, timings)) => {
+            let table = progress::table(timings);
+            text += &format!("{branches} branches, {ends} ends, {length:.3} {units}\n{table}");
+        }
+        Some((TimingsFormat::Json, timings)) => {
+            let seconds = progress::seconds(timings);
+            let line = json!({
+                "branches": branches, "ends": ends, "length": length, "units": units, "seconds": seconds,
+            });
+            text += &format!("{line}\n");
+        }
     }
     // A closed stderr leaves nobody to tell.
     let _ = std::io::stderr().write_all(text.as_bytes());

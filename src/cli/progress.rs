@@ -6,6 +6,7 @@ use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::Map;
 
 use crate::centerline::{Part, Progress, Stage};
 
@@ -99,6 +100,13 @@ pub(super) fn table(timings: &[(&'static str, Duration)]) -> String {
         let _ = writeln!(text, "{name:<20} {:>9.3} s", spent.as_secs_f64());
     }
     text
+}
+
+/// The seconds of each stage, and their sum.
+pub(super) fn seconds(timings: &[(&'static str, Duration)]) -> serde_json::Value {
+    let total: Duration = timings.iter().map(|(_, spent)| *spent).sum();
+    let all = timings.iter().copied().chain([("total", total)]);
+    all.map(|(name, spent)| (name.to_owned(), spent.as_secs_f64().into())).collect::<Map<_, _>>().into()
 }
 
 #[cfg(test)]
