@@ -1,4 +1,4 @@
-//! The whole extraction of a phantom tree, without reading and writing: both presets, two sizes.
+//! The whole extraction of a phantom tree, without reading and writing: both presets, three sizes.
 //!
 //! `cargo bench --bench extract`
 #![allow(clippy::panic, reason = "a bench")]
@@ -11,7 +11,7 @@ use rosaline::centerline::{Control, Parameters, Preset, extract};
 use rosaline::phantom::{Kind, Settings, generate};
 
 /// Sides of a voxel in mm; half the side makes four times the vertices.
-const VOXELS: [f64; 2] = [0.8, 0.4];
+const VOXELS: [f64; 3] = [0.8, 0.4, 0.2];
 
 fn extraction(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("extract");
