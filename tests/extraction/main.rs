@@ -5,6 +5,7 @@ mod cancellation;
 mod closed_forms;
 mod defects;
 mod invariance;
+mod known_ends;
 mod lines;
 mod picks;
 mod properties;

@@ -21,6 +21,9 @@ use crate::centerline::segmentation::track::{
 const SETTLING: usize = 3;
 /// Light smoothing between the rounds.
 const LIGHT: f64 = 1.0;
+/// Widest section against the level set beside it: that goes around the same wall, aslant or not, so a section much
+/// wider takes in more.
+const WIDE: f64 = 1.3;
 /// A section rounder than this (largest over smallest distance) may be the first to be trusted.
 const ROUND: f64 = 1.6;
 
@@ -56,7 +59,8 @@ pub fn settle(surface: &Surface, track: &mut Track) {
             };
             let measure = cut.measure();
             station.sight = Sight::Lost;
-            if cut.encloses(&measure.centroid) && measure.radius() < 1.8 * rings[station.ring].radius() {
+            let wide = WIDE * rings[station.ring].radius();
+            if cut.encloses(&measure.centroid) && measure.radius() < wide {
                 accept_clean(surface, station, &cut, measure.centroid, measure.radius());
             }
         }

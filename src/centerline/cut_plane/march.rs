@@ -34,6 +34,10 @@ pub fn march(wall: Wall<'_>, track: &mut Track, toward: Toward) {
     const LIMIT: usize = 400;
     /// Shortest step, in radii.
     const LEAST: f64 = 0.15;
+    /// How far from the continued line a section's middle may lie, in radii; toward a cap, a section through a part of
+    /// its layer lies as far aside.
+    const ASIDE: f64 = 0.5;
+    const ASIDE_AT_CAP: f64 = 0.25;
     let mut step = SPACING;
     for _ in 0..LIMIT {
         let Some(last) = track.stations.last() else { return };
@@ -43,7 +47,8 @@ pub fn march(wall: Wall<'_>, track: &mut Track, toward: Toward) {
             break;
         }
         let station = look(wall, track, last, point, tangent, &toward);
-        if station.sight == Sight::Clean && (station.target - point).norm() < 0.5 * radius {
+        let aside = if toward == Toward::Cap { ASIDE_AT_CAP } else { ASIDE };
+        if station.sight == Sight::Clean && (station.target - point).norm() < aside * radius {
             track.stations.push(Station { point: station.target, ..station });
         } else if step > LEAST {
             step *= 0.5;

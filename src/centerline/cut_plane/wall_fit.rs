@@ -88,6 +88,20 @@ fn plane_normal(cut: &Section, normal: &Vector3<f64>) -> Option<(Vector2<f64>, f
     Some((flat, normal.dot(&cut.frame.t).abs()))
 }
 
+/// The normal of a triangle and those that touch it, each weighted with its area, at most the triangle's own: a long
+/// facet beside a small one says nothing of it.
+fn broad_normal(surface: &Surface, t: u32) -> Option<Vector3<f64>> {
+    let area = |t: u32| {
+        let [a, b, c] = surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize]);
+        (b - a).cross(&(c - a))
+    };
+    let own = area(t).norm();
+    let around = surface.mesh.triangles[t as usize].into_iter().flat_map(|v| surface.corners.star(v));
+    let areas = around.map(|h| area(h / 3));
+    let sum: Vector3<f64> = areas.map(|area| area * (own / area.norm().max(own))).sum();
+    sum.try_normalize(0.0)
+}
+
 /// Whether a section lies square to its wall: one that lies aslant over a cap may look as round as any.
 fn is_square(surface: &Surface, cut: &Section) -> bool {
     /// Cosine of the most that the section may lean.
@@ -133,12 +147,17 @@ pub fn judge(surface: &Surface, station: &mut Station, cut: &Section, expected: 
 /// `share` of its length is wall and not cap.
 pub fn judge_end(surface: &Surface, station: &mut Station, cut: &Section, expected: &Profile, share: f64) {
     const GROWTH: std::ops::Range<f64> = 0.6..1.5;
+    /// Where those around a triangle lean less (sine), noise has turned it.
+    const WALL: f64 = 0.5;
     let measure = cut.measure();
     let (mut wall, mut all) = (0.0, 0.0);
-    for ((p, q, _), normal) in cut.sides().zip(cut.normals(surface)) {
+    for ((p, q, t), normal) in cut.sides().zip(cut.normals(surface)) {
         let length = (q - p).norm();
         all += length;
-        if plane_normal(cut, normal).is_some_and(|(_, lean)| lean <= LEAN) {
+        let leans = |normal: Vector3<f64>| normal.dot(&cut.frame.t).abs();
+        if plane_normal(cut, normal).is_some_and(|(_, lean)| lean <= LEAN)
+            || broad_normal(surface, t).is_some_and(|normal| leans(normal) < WALL)
+        {
             wall += length;
         }
     }

@@ -26,6 +26,13 @@ impl LevelSet {
     pub fn radius(&self) -> f64 {
         self.length / std::f64::consts::TAU
     }
+
+    /// Radius of the circle with the area that the polygon spans: zigzag adds nothing to it.
+    pub fn area_radius(&self) -> f64 {
+        let arms: Vec<Vector3<f64>> = self.points.iter().map(|point| point - self.centroid).collect();
+        let twice: Vector3<f64> = arms.iter().zip(arms.iter().cycle().skip(1)).map(|(a, b)| a.cross(b)).sum();
+        (0.5 * twice.norm() / std::f64::consts::PI).sqrt()
+    }
 }
 
 /// The component of the level set at `level` that belongs to `arc`. O(its edges).

@@ -4,6 +4,8 @@ use std::f64::consts::TAU;
 
 use nalgebra::Point3;
 
+use crate::mesh::preparation::Opening;
+
 use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
 
 use super::Pruning;
@@ -36,16 +38,32 @@ impl Pruning<'_> {
         let first = &self.graph.arcs[first as usize];
         let radius = first.base_length / TAU;
         let tip = self.graph.nodes[leaf as usize].vertex;
-        let opening = self.surface.openings.iter().find(|opening| opening.centre == tip);
+        let opening = self.opening_at(leaf);
         // The vessel was cut here, however shortly; a small opening straight in the wall is a hole.
         if opening.is_some_and(|opening| !beside.is_finite() || opening.radius >= HOLE * beside) {
             return true;
         }
         let sample = (first.base_length / f64::from(first.base_edges.max(1))).max(self.edge_at(tip));
         let least = (tip_height * radius.min(beside)).max(SAMPLES * sample);
+        if let Some(met) = self.met_below(base, arcs, radius.min(beside)) {
+            return height >= least && self.over_fronts(met, leaf) >= least;
+        }
         // No straight distance is longer than the geodesic beside it but by the base's width: a cheap look first.
-        let far = height >= 0.5 * least && self.reach(arcs, leaf) >= least;
-        far || (height >= least && self.over_vessel(arcs, base, leaf) >= least)
+        if height < 0.5 * least {
+            return false;
+        }
+        // Where the base is as wide as the vessel beside it, a front has climbed there while it passed.
+        let climbed = radius >= beside || height >= least;
+        let over = || self.over_vessel(arcs, base, leaf, radius);
+        self.reach(arcs, leaf) >= least
+            || climbed
+                && over().is_some_and(|(over, radius)| over >= (tip_height * radius).max(SAMPLES * sample))
+    }
+
+    /// The opening whose centre a node is.
+    pub fn opening_at(&self, node: u32) -> Option<&Opening> {
+        let vertex = self.graph.nodes[node as usize].vertex;
+        self.surface.openings.iter().find(|opening| opening.centre == vertex)
     }
 
     /// Length of a short edge at a vertex: not the shortest, which noise makes.
@@ -61,11 +79,12 @@ impl Pruning<'_> {
         if second.is_finite() { second } else { 0.0 }
     }
 
-    /// How far a tip lies outside the vessel that passes its base, from the vessel's wall.
+    /// How far a tip lies outside the vessel that passes its base, from the vessel's wall, and the smaller of its base's
+    /// `radius` and the vessel's. The vessel's is that of its level sets' areas, which noise does not lengthen.
     ///
     /// A front climbs a wide sac while it passes it along the vessel, so that the leaf begins in the
-    /// middle of the sac: its reach says little of its height.
-    fn over_vessel(&self, leaf: &[u32], base: u32, tip: u32) -> f64 {
+    /// middle of the sac: its reach says little of its height, and its rise too.
+    fn over_vessel(&self, leaf: &[u32], base: u32, tip: u32, radius: f64) -> Option<(f64, f64)> {
         let beside = || self.alive_at(base).filter(|arc| !leaf.contains(arc));
         let length = |&arc: &u32| self.graph.arcs[arc as usize].base_length;
         let widest = |upward: bool| {
@@ -74,23 +93,53 @@ impl Pruning<'_> {
         };
         let rings: Vec<LevelSet> =
             [false, true].iter().filter_map(|&up| self.narrowest(base, widest(up)?, up)).collect();
-        let (Some(a), Some(b)) = (rings.first(), rings.last()) else { return 0.0 };
-        let along = b.centroid - a.centroid;
+        let (a, b) = (rings.first()?, rings.last()?);
+        let vessel = a.area_radius().max(b.area_radius());
+        let over = from_segment(&self.position(tip), &a.centroid, &b.centroid) - vessel;
+        Some((over, radius.min(vessel)))
+    }
+
+    /// The node, at or within `near` below `base`, where two fronts met, and the two arcs below it; `leaf` is not looked
+    /// at. `None` where one front came alone.
+    fn met_below(&self, base: u32, leaf: &[u32], near: f64) -> Option<(u32, [u32; 2])> {
+        let level = |node: u32| self.graph.nodes[node as usize].level;
+        let mut node = base;
+        while level(base) - level(node) <= near {
+            let below = |arc: &u32| self.graph.arcs[*arc as usize].upper == node && !leaf.contains(arc);
+            match self.alive_at(node).filter(below).collect::<Vec<u32>>()[..] {
+                [alone] => node = self.graph.arcs[alone as usize].lower,
+                [a, b] => return Some((node, [a, b])),
+                _ => return None,
+            }
+        }
+        None
+    }
+
+    /// How far a tip lies outside the vessel along which two fronts met, from its wall: what both leave between them
+    /// until the last is a leaf, however long it is around the vessel.
+    fn over_fronts(&self, (met, fronts): (u32, [u32; 2]), tip: u32) -> f64 {
+        let [mut line, other] = fronts.map(|arc| self.rings_beyond(met, arc, false));
+        line.reverse();
+        line.extend(other);
+        let radius = line.iter().map(LevelSet::radius).fold(f64::INFINITY, f64::min);
         let tip = self.position(tip);
-        let share = (tip - a.centroid).dot(&along) / along.norm_squared().max(f64::MIN_POSITIVE);
-        let nearest = a.centroid + along * share.clamp(0.0, 1.0);
-        (tip - nearest).norm() - a.radius().max(b.radius())
+        let away = line.windows(2).map(|pair| from_segment(&tip, &pair[0].centroid, &pair[1].centroid));
+        away.fold(f64::INFINITY, f64::min) - radius
     }
 
     /// The narrowest of a few level sets beyond `base` along `arc` and what goes on from it.
     fn narrowest(&self, base: u32, arc: u32, upward: bool) -> Option<LevelSet> {
+        self.rings_beyond(base, arc, upward).into_iter().min_by(|a, b| a.length.total_cmp(&b.length))
+    }
+
+    /// A few level sets beyond `base` along `arc` and what goes on from it, the nearest first.
+    fn rings_beyond(&self, base: u32, arc: u32, upward: bool) -> Vec<LevelSet> {
         /// Where to look, in radii of the first.
         const OFFSETS: [f64; 5] = [0.5, 1.5, 2.5, 3.5, 4.5];
         let level = self.graph.nodes[base as usize].level;
         let at = |offset: f64| self.beyond(arc, level, if upward { offset } else { -offset });
-        let radius = at(0.0)?.radius();
-        let rings = OFFSETS.iter().filter_map(|offset| at(offset * radius));
-        rings.min_by(|a, b| a.length.total_cmp(&b.length))
+        let Some(radius) = at(0.0).map(|ring| ring.radius()) else { return Vec::new() };
+        OFFSETS.iter().filter_map(|offset| at(offset * radius)).collect()
     }
 
     /// The level set at `level + rise` on `arc`, or on the widest arcs that continue it.
@@ -137,4 +186,11 @@ impl Pruning<'_> {
         let centres = rings.map(|ring| ring.centroid).chain([self.position(tip)]);
         centres.map(|centre| (centre - base.centroid).norm()).fold(0.0, f64::max)
     }
+}
+
+/// Distance of a point from a segment.
+fn from_segment(point: &Point3<f64>, a: &Point3<f64>, b: &Point3<f64>) -> f64 {
+    let along = b - a;
+    let share = (point - a).dot(&along) / along.norm_squared().max(f64::MIN_POSITIVE);
+    (point - (a + along * share.clamp(0.0, 1.0))).norm()
 }

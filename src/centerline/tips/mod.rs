@@ -27,6 +27,8 @@ use crate::centerline::tips::reeb::ReebGraph;
 use crate::centerline::{CancelToken, ExtractError, Warning};
 
 const NONE: u32 = u32::MAX;
+/// The Reeb node that distances are taken from: the first that a sweep meets.
+const ROOT: u32 = 0;
 
 /// A branch of the segmented surface: a chain of Reeb arcs without a junction on the way.
 #[derive(Debug, Clone, PartialEq)]
@@ -88,9 +90,19 @@ impl Branching {
 
     /// How many ends the chains have.
     pub fn ends(&self) -> usize {
-        let mut nodes: Vec<u32> = self.chains.iter().flat_map(|chain| [chain.from, chain.to]).collect();
+        let mut nodes: Vec<u32> = self.nodes().collect();
         nodes.sort_unstable();
         nodes.chunk_by(|a, b| a == b).filter(|same| same.len() == 1).count()
+    }
+
+    /// Whether a Reeb node is an end.
+    fn ends_at(&self, node: u32) -> bool {
+        self.nodes().filter(|&other| other == node).count() == 1
+    }
+
+    /// The Reeb nodes of the chains, each as often as a chain begins or ends there.
+    fn nodes(&self) -> impl Iterator<Item = u32> + '_ {
+        self.chains.iter().flat_map(|chain| [chain.from, chain.to])
     }
 }
 
@@ -217,7 +229,6 @@ impl Pruning<'_> {
 
     /// On a surface without ends the root is no tip either: its leaf goes by the same measure.
     fn prune_root(&mut self, tip_height: f64) {
-        const ROOT: u32 = 0;
         if self.degree(ROOT) != 1 {
             return;
         }
@@ -225,9 +236,12 @@ impl Pruning<'_> {
         if self.degree(base) < 3 {
             return;
         }
+        let root = self.position(ROOT);
+        if self.opening_at(ROOT).is_some() {
+            return;
+        }
         let rings: Vec<LevelSet> = arcs.iter().flat_map(|&arc| self.rings(arc)).collect();
         let Some(top) = rings.last() else { return };
-        let root = self.position(ROOT);
         let centres = rings.iter().map(|ring| ring.centroid).chain([root]);
         let reach = centres.map(|centre| (centre - top.centroid).norm()).fold(0.0, f64::max);
         if reach < tip_height * top.radius() {

@@ -8,8 +8,17 @@ use super::geodesic::{EdgeGraph, geodesic};
 use super::picks::{Kept, Picks, keep, root_near};
 use super::reeb::{ReebGraph, reeb_graph};
 use super::root::{Among, Root, roots};
-use super::{Branching, Choice, chains, farthest};
+use super::{Branching, Choice, ROOT, chains, farthest};
 use crate::centerline::{Control, ExtractError, Stage};
+
+/// The Reeb graph as seen from one root.
+struct View {
+    graph: ReebGraph,
+    branching: Branching,
+    /// The edges that distances were measured along.
+    edges: EdgeGraph,
+    source: u32,
+}
 
 /// The Reeb graph of the geodesic distance from the widest end's cap, and its chains. Where several ends
 /// might be that, the one from which most ends are seen; `among` says which ends are looked at. What the user picked
@@ -37,28 +46,19 @@ pub fn skeleton(
     let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
     let first = chains(surface, &graph, &choice, cancel)?;
     control.report(Stage::Segmentation, 0.0)?;
-    let mut best = None;
-    let candidates = match picks.root {
+    let seen = match picks.root {
         Some(pick) => vec![root_near(surface, &graph, &first, pick.vertex)],
         None => roots(surface, &graph, &first, among),
     };
-    let seen_from = |root: &Root| {
-        let mut edges = edges.clone();
-        edges.shrink(&root.cap);
-        let distance = geodesic(&edges, &[root.vertex], cancel)?;
-        let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
-        let found = chains(surface, &graph, &choice, cancel)?;
-        Ok((graph, found, edges, root.vertex))
-    };
-    let all = candidates.par_iter().map(seen_from).collect::<Result<Vec<_>, ExtractError>>()?;
-    control.report(Stage::Segmentation, 0.4)?;
-    for seen in all {
-        let more = |best: &(ReebGraph, Branching, EdgeGraph, u32)| seen.1.ends() > best.1.ends();
-        if best.as_ref().is_none_or(more) {
-            best = Some(seen);
-        }
+    let mut best = best_view(surface, &edges, seen, &choice, control)?;
+    // Where the root is no end, fronts started on a vessel's side: what they leave for the last may be none either.
+    if picks.root.is_none() && best.as_ref().is_some_and(|best| !best.branching.ends_at(ROOT)) {
+        let sure = Branching { doubtful: Vec::new(), ..first.clone() };
+        let seen = best_view(surface, &edges, roots(surface, &graph, &sure, among), &choice, control)?;
+        best = seen.filter(|seen| seen.branching.ends_at(ROOT)).or(best);
     }
-    let (graph, branching, mut edges, source) = best.unwrap_or((graph, first, edges, source));
+    let first = View { graph, branching: first, edges, source };
+    let View { graph, branching, mut edges, source } = best.unwrap_or(first);
     if picks.include.is_empty() && picks.exclude.is_empty() {
         return Ok((graph, branching));
     }
@@ -69,4 +69,32 @@ pub fn skeleton(
     let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
     let branching = chains(surface, &graph, &choice, cancel)?;
     Ok((graph, Branching { raised, ..branching }))
+}
+
+/// What is seen from the best of some roots: one that stays an end, and then the one that sees most ends.
+fn best_view(
+    surface: &Surface,
+    edges: &EdgeGraph,
+    roots: Vec<Root>,
+    choice: &Choice<'_>,
+    control: &Control<'_>,
+) -> Result<Option<View>, ExtractError> {
+    let view = |root: &Root| {
+        let mut edges = edges.clone();
+        edges.shrink(&root.cap);
+        let distance = geodesic(&edges, &[root.vertex], &control.cancel)?;
+        let graph = reeb_graph(&surface.mesh.vertices, &surface.corners, distance, &control.cancel)?;
+        let branching = chains(surface, &graph, choice, &control.cancel)?;
+        Ok(View { graph, branching, edges, source: root.vertex })
+    };
+    let views = roots.par_iter().map(view).collect::<Result<Vec<_>, ExtractError>>()?;
+    control.report(Stage::Segmentation, 0.4)?;
+    let rank = |branching: &Branching| (branching.ends_at(ROOT), branching.ends());
+    let mut best: Option<View> = None;
+    for view in views {
+        if best.as_ref().is_none_or(|best| rank(&view.branching) > rank(&best.branching)) {
+            best = Some(view);
+        }
+    }
+    Ok(best)
 }
