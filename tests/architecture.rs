@@ -19,7 +19,7 @@ const MAY_KNOW: [(&str, &[&str]); 9] = [
 ];
 
 /// Crates (and parts of std) with the only rooms that may name them.
-const ONLY_IN: [(&str, &[&str]); 26] = [
+const ONLY_IN: [(&str, &[&str]); 27] = [
     ("zstd", &["jobs"]),
     ("axum", &["http"]),
     ("tower", &["http"]),
@@ -31,6 +31,7 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
     ("utoipa_axum", &["http"]),
     ("utoipa", &["http", "output"]),
     ("sqlx", &["jobs"]),
+    ("nix", &["jobs"]),
     ("object_store", &["jobs"]),
     ("tokio", &["jobs", "outbound", "http", "cli"]),
     ("futures", &["jobs", "outbound", "http", "cli"]),

@@ -54,6 +54,10 @@ impl RetentionStore for Doubtful {
         self.inner.expired(id)
     }
 
+    fn ended_by(&self, now: i64) -> StoreFuture<'_, ()> {
+        self.inner.ended_by(now)
+    }
+
     fn forget_expired(&self, time: i64) -> StoreFuture<'_, ()> {
         self.inner.forget_expired(time)
     }

@@ -11,6 +11,7 @@ mod phantom;
 mod progress;
 mod serve;
 mod webhooks;
+mod work;
 
 use std::error::Error;
 use std::io::Write;
@@ -42,6 +43,9 @@ enum Command {
     Webhooks(webhooks::Args),
     /// Ask a running service whether it is ready: exit code 0 when it is.
     Health(health::Args),
+    /// Work off one job, of which stdin tells: the service starts this.
+    #[command(hide = true)]
+    Work(work::Args),
     /// Print the OpenAPI document of the service.
     #[command(hide = true)]
     Openapi(openapi::Args),
@@ -101,6 +105,7 @@ fn run(cli: Cli) -> Result<(), Failure> {
         Command::Keys(args) => keys::run(args),
         Command::Webhooks(args) => webhooks::run(args),
         Command::Health(args) => health::run(args),
+        Command::Work(args) => work::run(args),
         Command::Openapi(args) => openapi::run(args),
     }
 }

@@ -6,6 +6,7 @@ mod otlp;
 use std::future::Future;
 use std::io::Write;
 use std::net::SocketAddr;
+use std::num::NonZeroU64;
 use std::sync::Arc;
 
 use tokio::net::TcpListener;
@@ -16,7 +17,7 @@ use super::Failure;
 use crate::http::access::{Gate, Issuer, KeyRing};
 use crate::http::audit::Trail;
 use crate::http::{self, App, Limits, Tls};
-use crate::jobs::extraction::Extraction;
+use crate::jobs::isolation::{Isolated, JOB_MEMORY};
 use crate::jobs::{JobService, Retention, Settings, Spans, TooManyWorkers, log_panics_without_text};
 use crate::outbound::webhooks::{self, Schedule, TargetFile};
 
@@ -55,6 +56,7 @@ async fn serve(args: Args, spans: Spans) -> Result<(), Failure> {
         queue: args.max_queue.get(),
         jobs_per_principal: args.max_jobs_each.get(),
         run: args.max_run.0,
+        job_memory: args.max_memory.0,
         ..Limits::default()
     };
     let gate = gate(&args)?;
@@ -66,7 +68,8 @@ async fn serve(args: Args, spans: Spans) -> Result<(), Failure> {
         .map(|(cert, key)| Tls::open(cert, key))
         .transpose()?;
     let is_open = !gate.is_closed();
-    let runner = Arc::new(Extraction::new(limits.mesh));
+    let memory = NonZeroU64::new(limits.job_memory).unwrap_or(JOB_MEMORY);
+    let runner = Arc::new(Isolated::new(limits.mesh, memory, args.max_crashes));
     let jobs = JobService::open(Settings { spans, ..settings(&args)? }, runner).await?;
     let path = args.audit.clone().unwrap_or_else(|| args.data.join("audit.jsonl"));
     let trail = Trail::open(&path, args.audit_rotate.0).map_err(|error| {

@@ -5,7 +5,7 @@
 //! a status are not.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -16,6 +16,7 @@ use time::OffsetDateTime;
 use time::format_description::well_known::Rfc3339;
 
 use crate::jobs::JobId;
+use crate::jobs::faults::{Operation, between};
 
 /// Where a request came from: the connection's other end.
 #[derive(Debug, Clone, Copy)]
@@ -130,7 +131,12 @@ impl Trail {
     /// # Errors
     /// When the file cannot be opened for adding.
     pub fn open(path: &Path, rotate_at: u64) -> io::Result<Self> {
-        Ok(Self { path: path.to_owned(), rotate_at, file: Mutex::new(append(path)?) })
+        let mut file = append(path)?;
+        if !ends_a_line(path)? {
+            // What a crash left of a line stays as it is; the next one must not be taken for its end.
+            file.write_all(b"\n")?;
+        }
+        Ok(Self { path: path.to_owned(), rotate_at, file: Mutex::new(file) })
     }
 
     /// Adds a line, if this is to be told, and waits until it is on disk.
@@ -144,13 +150,23 @@ impl Trail {
 
     fn add(&self, line: &str) -> io::Result<()> {
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
-        if file.metadata()?.len() >= self.rotate_at {
-            fs::rename(&self.path, self.aside())?;
-            *file = append(&self.path)?;
+        if file.metadata()?.len() >= self.rotate_at
+            && let Err(error) = self.rotate(&mut file)
+        {
+            tracing::error!(%error, "the audit trail cannot be set aside; it goes on in its file");
         }
         // One write, so that a crash leaves no half of a line but the last.
-        file.write_all(line.as_bytes())?;
-        file.sync_data()
+        between(Operation::AuditWrite, || file.write_all(line.as_bytes()))?;
+        between(Operation::AuditSync, || file.sync_data())
+    }
+
+    fn rotate(&self, file: &mut File) -> io::Result<()> {
+        let renamed = between(Operation::AuditRotate, || fs::rename(&self.path, self.aside()));
+        // After an error it may be renamed all the same.
+        if renamed.is_ok() || !self.path.exists() {
+            *file = append(&self.path)?;
+        }
+        renamed
     }
 
     /// A name that no older part has.
@@ -158,6 +174,18 @@ impl Trail {
         let stamp = OffsetDateTime::now_utc().unix_timestamp_nanos();
         self.path.with_extension(format!("{stamp}.jsonl"))
     }
+}
+
+/// Whether the file is empty or ends with a newline.
+fn ends_a_line(path: &Path) -> io::Result<bool> {
+    let mut file = File::open(path)?;
+    if file.metadata()?.len() == 0 {
+        return Ok(true);
+    }
+    file.seek(SeekFrom::End(-1))?;
+    let mut last = [0];
+    file.read_exact(&mut last)?;
+    Ok(last == *b"\n")
 }
 
 fn append(path: &Path) -> io::Result<File> {
@@ -200,6 +228,11 @@ mod tests {
         tell(&Trail::open(&path, 1 << 20).unwrap(), Method::DELETE, "/v1/jobs/x", StatusCode::NOT_FOUND);
         let after = fs::read_to_string(&path).unwrap();
         assert!(after.starts_with(&before));
+        // Nor is a line that a crash cut short touched, or glued to the next.
+        append(&path).unwrap().write_all(b"{\"Event").unwrap();
+        tell(&Trail::open(&path, 1 << 20).unwrap(), Method::DELETE, "/v1/jobs/x", StatusCode::NOT_FOUND);
+        let after = fs::read_to_string(&path).unwrap();
+        assert_eq!(after.lines().rev().nth(1), Some("{\"Event"));
         let last: Value = serde_json::from_str(after.lines().last().unwrap()).unwrap();
         assert_eq!(last["EventIdentification"]["EventOutcomeIndicator"], 4);
     }

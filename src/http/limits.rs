@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use crate::jobs::RUN_LIMIT;
+use crate::jobs::isolation::JOB_MEMORY;
 use crate::mesh::format;
 
 /// Bytes of an upload that must come within its idle time: a byte now and then does not keep it alive.
@@ -30,6 +31,8 @@ pub struct Limits {
     pub jobs_per_principal: u64,
     /// How long one run of a job may take.
     pub run: Duration,
+    /// Bytes of memory that one run of a job may have.
+    pub job_memory: u64,
     /// The largest mesh that is read.
     pub mesh: format::Limits,
     /// The longest that `Prefer: wait` is honoured.
@@ -56,6 +59,7 @@ impl Default for Limits {
             queue: 100_000,
             jobs_per_principal: 10_000,
             run: RUN_LIMIT,
+            job_memory: JOB_MEMORY.get(),
             mesh: format::Limits::default(),
             wait: Duration::from_secs(60),
             page_default: 50,

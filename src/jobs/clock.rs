@@ -1,7 +1,7 @@
 //! Wall-clock time, injected so that tests can move it.
 
 use std::sync::atomic::{AtomicI64, Ordering};
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// Where the queue reads wall-clock time.
 pub trait Clock: Send + Sync + 'static {
@@ -41,5 +41,62 @@ impl ManualClock {
 impl Clock for ManualClock {
     fn now_ms(&self) -> i64 {
         self.0.load(Ordering::SeqCst)
+    }
+}
+
+/// How far the clock may run ahead of the time that has passed before it is doubted.
+const LEAP: Duration = Duration::from_secs(10 * 60);
+/// How long a clock that has leapt is doubted.
+const DOUBT: Duration = Duration::from_secs(24 * 60 * 60);
+
+/// Tells a clock that was set ahead from time that has passed: nothing should be removed for its age because of it.
+pub(super) struct Steadiness {
+    /// The clock and the passed time when they last went together.
+    last: (i64, Instant),
+    /// Since when they do not.
+    leapt: Option<Instant>,
+}
+
+impl Steadiness {
+    pub(super) fn new(now_ms: i64, at: Instant) -> Self {
+        Self { last: (now_ms, at), leapt: None }
+    }
+
+    /// Whether the clock went on as time did. One that went back is believed: it removes nothing too early. One that
+    /// leapt ahead is believed when it has kept to that for a day, or when it is back.
+    pub(super) fn holds(&mut self, now_ms: i64, at: Instant) -> bool {
+        let passed = at.saturating_duration_since(self.last.1) + LEAP;
+        let expected = self.last.0.saturating_add(i64::try_from(passed.as_millis()).unwrap_or(i64::MAX));
+        if now_ms > expected {
+            let since = *self.leapt.get_or_insert_with(|| {
+                tracing::warn!("the clock was set ahead; nothing is removed for its age for a day");
+                at
+            });
+            if at.saturating_duration_since(since) < DOUBT {
+                return false;
+            }
+        }
+        (self.last, self.leapt) = ((now_ms, at), None);
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_clock_that_leaps_ahead_is_doubted_for_a_day() {
+        const DAY: i64 = 86_400_000;
+        let start = Instant::now();
+        let at = |hours: u64| start + Duration::from_secs(hours * 3600);
+        let hour = |hours: i64| hours * 3_600_000;
+        let mut clock = Steadiness::new(0, start);
+        assert!(clock.holds(hour(1), at(1)) && clock.holds(hour(2) + 500_000, at(2)), "small steps are none");
+        assert!(!clock.holds(hour(3) + 365 * DAY, at(3)) && !clock.holds(hour(26) + 365 * DAY, at(26)));
+        assert!(clock.holds(hour(27) + 365 * DAY, at(27)), "a day later it is believed");
+        assert!(clock.holds(hour(28) - 365 * DAY, at(28)), "backward");
+        assert!(!clock.holds(hour(29), at(29)));
+        assert!(clock.holds(hour(30) - 365 * DAY, at(30)), "it is back");
     }
 }

@@ -6,10 +6,25 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use serde::{Deserialize, Serialize};
 
+use crate::centerline::CancelToken;
+
 /// Results below this many bytes are not compressed: they go into one packet as they are.
 pub(super) const LEAST: usize = 1 << 10;
 /// Of zstd's 22: higher ones take many times as long for a few percent.
 const ZSTD_LEVEL: i32 = 9;
+
+/// Bytes that are compressed between two looks at the cancellation.
+const STEP: usize = 64 << 10;
+
+fn feed(encoder: &mut impl Write, bytes: &[u8], cancel: &CancelToken) -> io::Result<()> {
+    for step in bytes.chunks(STEP) {
+        if cancel.is_cancelled() {
+            return Err(io::ErrorKind::Interrupted.into());
+        }
+        encoder.write_all(step)?;
+    }
+    Ok(())
+}
 
 /// A content coding (RFC 9110, section 8.4.1).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -49,15 +64,24 @@ impl Coding {
     }
 
     /// The bytes in this coding; the same ones for the same input.
-    pub(super) fn pack(self, bytes: &[u8]) -> io::Result<Vec<u8>> {
+    ///
+    /// # Errors
+    /// [`io::ErrorKind::Interrupted`] soon after `cancel` is set.
+    pub(super) fn pack(self, bytes: &[u8], cancel: &CancelToken) -> io::Result<Vec<u8>> {
         match self {
             Coding::Identity => Ok(bytes.to_vec()),
             Coding::Gzip => {
                 let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
-                encoder.write_all(bytes)?;
+                feed(&mut encoder, bytes, cancel)?;
                 encoder.finish()
             }
-            Coding::Zstd => zstd::bulk::compress(bytes, ZSTD_LEVEL),
+            Coding::Zstd => {
+                let mut encoder = zstd::Encoder::new(Vec::new(), ZSTD_LEVEL)?;
+                // With it the frame says how long it will be, and short ones get smaller tables.
+                encoder.set_pledged_src_size(Some(bytes.len() as u64))?;
+                feed(&mut encoder, bytes, cancel)?;
+                encoder.finish()
+            }
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::runner::{Artifact, JobRunner, RunControl, Work};
 use super::{FileName, FormatHint, JobFailure, JobStage};
-use crate::centerline::{Control, ExtractError, Parameters, Progress, extract};
+use crate::centerline::{CancelToken, Control, ExtractError, Parameters, Part, Progress, extract};
 use crate::mesh::format::{Hint, Limits, ReadError, ReadErrorKind, read};
 use crate::output::{OutputError, OutputFormat, ResultDocument, Source, write};
 
@@ -21,6 +21,20 @@ impl Extraction {
 
 impl JobRunner for Extraction {
     fn run(&self, work: Work, control: &RunControl) -> Result<Vec<Artifact>, JobFailure> {
+        self.perform(work, control.cancel(), &|stage, fraction, part| {
+            control.report_part(stage, fraction, part)
+        })
+    }
+}
+
+impl Extraction {
+    /// [`JobRunner::run`] without a queue.
+    pub(super) fn perform(
+        &self,
+        work: Work,
+        cancel: &CancelToken,
+        report: &(dyn Fn(JobStage, f64, Part) + Sync),
+    ) -> Result<Vec<Artifact>, JobFailure> {
         let Work { input, bytes, spec } = work;
         let parameters = Parameters::try_from(&spec.parameters)
             .map_err(|error| JobFailure::stale_parameters(error.to_string()))?;
@@ -28,12 +42,12 @@ impl JobRunner for Extraction {
             read(&bytes, hint(&spec.hint), &self.limits).map_err(|error| unreadable(&error))?;
         drop(bytes);
         let progress = |Progress { stage, fraction, part }: Progress| {
-            control.report_part(JobStage::Method(stage), fraction, part);
+            report(JobStage::Method(stage), fraction, part);
         };
-        let inside = Control::new(control.cancel().clone(), &progress);
+        let inside = Control::new(cancel.clone(), &progress);
         let extraction = extract(&mesh, &parameters, &inside).map_err(|error| impossible(&error))?;
         drop(mesh);
-        control.report(JobStage::Writing, 0.0);
+        report(JobStage::Writing, 0.0, Part::WHOLE);
         let source = Source {
             name: spec.name.as_ref().map(FileName::expose),
             format: format.name(),

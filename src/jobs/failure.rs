@@ -21,8 +21,9 @@ pub struct JobFailure {
 impl JobFailure {
     /// The codes of the failures below, whatever the mesh: what a job may fail with beside its reader's and its
     /// method's errors.
-    pub const CODES: [&str; 7] = [
+    pub const CODES: [&str; 8] = [
         "time-limit",
+        "memory-limit",
         "internal-error",
         "crashed",
         "input-lost",
@@ -56,6 +57,38 @@ impl JobFailure {
                  is not tried again"
             ),
         )
+    }
+
+    /// The run's own process died `crashes` times; `how` is the last time's exit status.
+    pub fn run_crashed(crashes: u32, how: &str) -> Self {
+        Self::new(
+            "crashed",
+            500,
+            "The job was given up after repeated crashes",
+            format!(
+                "the process of this job's run died {crashes} times, last by {how} (a machine out of memory is the \
+                 usual cause of signal 9); it is not tried again"
+            ),
+        )
+    }
+
+    /// The run needs more memory than one may have.
+    pub fn out_of_memory(bytes: u64) -> Self {
+        let detail = format!(
+            "one run may have {bytes} bytes of memory; send a coarser mesh, or let the operator raise --max-memory"
+        );
+        Self::new("memory-limit", 422, "The extraction needs too much memory", detail)
+    }
+
+    /// No process can be started for the run.
+    pub(super) fn not_started(error: &std::io::Error) -> Self {
+        let detail = format!("no process can be started for it: {error}; see to the limits of the machine");
+        Self::new("internal-error", 500, "The extraction stopped on an internal error", detail)
+    }
+
+    /// The run was stopped; nobody reads this.
+    pub(super) fn cancelled() -> Self {
+        Self::new("cancelled", 422, "The run was cancelled", "the run was stopped before its end")
     }
 
     /// The run took longer than one may.

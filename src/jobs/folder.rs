@@ -3,9 +3,14 @@
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use super::faults::{Operation, between};
 
 /// Bytes kept free for changes of the database on a full disk: a start, a cancellation, a purge.
 const RESERVE: usize = 1 << 20;
+const LOCK_TRIES: u32 = 5;
+const LOCK_WAIT: Duration = Duration::from_millis(20);
 const RESERVE_STEP: usize = 4 << 10;
 
 /// Why the data folder cannot be used.
@@ -37,7 +42,7 @@ impl DataFolder {
         let path = fs::canonicalize(path).map_err(failed)?;
         let lock = OpenOptions::new().create(true).truncate(false).write(true).open(path.join("lock"));
         let lock = lock.map_err(failed)?;
-        match lock.try_lock() {
+        match patient_lock(&lock) {
             Ok(()) => Ok(Self { path, _lock: lock }),
             Err(TryLockError::WouldBlock) => Err(FolderError::InUse { path: path.display().to_string() }),
             Err(TryLockError::Error(source)) => Err(failed(source)),
@@ -61,10 +66,9 @@ impl DataFolder {
         let Ok(mut file) = OpenOptions::new().create(true).append(true).open(self.reserve()) else { return };
         let kept = file.metadata().map_or(0, |found| usize::try_from(found.len()).unwrap_or(RESERVE));
         let missing = incompressible(RESERVE.saturating_sub(kept));
+        let mut write = || missing.chunks(RESERVE_STEP).try_for_each(|chunk| file.write_all(chunk));
         // A full disk ends this early: the next round goes on.
-        if missing.chunks(RESERVE_STEP).try_for_each(|chunk| file.write_all(chunk)).is_ok()
-            && !missing.is_empty()
-        {
+        if !missing.is_empty() && between(Operation::ReserveWrite, &mut write).is_ok() {
             file.sync_all().ok();
         }
     }
@@ -76,6 +80,17 @@ impl DataFolder {
     pub fn blobs(&self) -> PathBuf {
         self.path.join("blobs")
     }
+}
+
+/// Takes the lock; one that is taken is asked for a few times, as a look at it takes it too.
+fn patient_lock(lock: &File) -> Result<(), TryLockError> {
+    for _ in 0..LOCK_TRIES {
+        match lock.try_lock() {
+            Err(TryLockError::WouldBlock) => std::thread::sleep(LOCK_WAIT),
+            other => return other,
+        }
+    }
+    lock.try_lock()
 }
 
 /// Bytes that no file system stores in less.
@@ -96,7 +111,7 @@ pub(super) fn create(path: &Path) -> io::Result<()> {
     #[cfg(unix)]
     std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
     let missing: Vec<&Path> = path.ancestors().take_while(|each| !each.exists()).collect();
-    builder.create(path)?;
+    between(Operation::FolderCreate, || builder.create(path))?;
     for each in missing {
         let parent = each.parent().filter(|parent| !parent.as_os_str().is_empty());
         File::open(parent.unwrap_or(Path::new(".")))?.sync_all()?;

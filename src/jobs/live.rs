@@ -48,6 +48,11 @@ impl JobStage {
         }
     }
 
+    /// The stage of a name that [`JobStage::name`] gives.
+    pub(super) fn named(name: &str) -> Option<Self> {
+        Self::all().find(|stage| stage.name() == name)
+    }
+
     /// How many stages there are.
     pub(super) const COUNT: usize = ENDS.len();
 
@@ -92,6 +97,14 @@ impl Snapshot {
         let (stage, _) = ENDS.get((code % 16) as usize)?;
         Some((*stage, (code / 1600) as u8))
     }
+}
+
+/// Whole percents and stages as one number, which grows with both.
+pub(super) fn coarse(stage: JobStage, fraction: f64, part: Part) -> u32 {
+    Snapshot::at(stage, fraction, part).progress().map_or(0, |(stage, percent)| {
+        // Eleven stages fit into four bits.
+        1 + u32::from(percent) * 16 + stage.index() as u32
+    })
 }
 
 /// One active job.

@@ -10,8 +10,9 @@ use super::blob::BlobReader;
 use super::coding::LEAST;
 use super::live::Entry;
 use super::runner::Artifact;
-use super::worker::Worker;
+use super::worker::{Phase, Worker};
 use super::{Coding, Job, JobError, JobId, JobService, JobStage, JobStatus, Lease, StoredArtifact};
+use crate::centerline::CancelToken;
 use crate::output::OutputFormat;
 
 impl Worker {
@@ -24,10 +25,10 @@ impl Worker {
         artifacts: Vec<Artifact>,
     ) {
         entry.report(JobStage::Writing, 0.5);
-        let artifacts = packed(artifacts).await;
+        let artifacts = packed(artifacts, entry.cancel.clone()).await;
         let mut backoff = Backoff::new();
         loop {
-            match self.write_results(job, lease, &artifacts).await {
+            match self.write_results(job, lease, entry, &artifacts).await {
                 Ok(true) => {
                     tracing::info!("successful");
                     entry.settled(JobStatus::Successful);
@@ -66,16 +67,37 @@ impl Worker {
         }
     }
 
-    async fn write_results(&self, job: &Job, lease: &Lease, artifacts: &[Packed]) -> Result<bool, JobError> {
+    /// Whether the row says so now; not where the run was cancelled meanwhile.
+    async fn write_results(
+        &self,
+        job: &Job,
+        lease: &Lease,
+        entry: &Entry,
+        artifacts: &[Packed],
+    ) -> Result<bool, JobError> {
         let mut stored = Vec::with_capacity(artifacts.len());
         for Packed { format, coding, bytes } in artifacts {
             let (format, coding) = (*format, *coding);
             let key = result_key(job, lease, format, coding);
+            if entry.cancel.is_cancelled() && self.phase() != Phase::Stopping {
+                return Ok(false);
+            }
             let body = futures::stream::iter([Ok(bytes.clone())]).boxed();
             let info = self.shared.blobs.put(&key, body, u64::MAX).await?;
             stored.push(StoredArtifact { format, key, size: info.size, sha256: info.sha256, coding });
         }
         Ok(self.shared.store.succeed(job.id, lease, &stored, self.shared.clock.now_ms()).await?)
+    }
+
+    /// Drops whatever a run has stored under a lease that no row names.
+    pub(super) async fn drop_files(&self, job: &Job, lease: &Lease) {
+        let folder = format!("{}/{}", job.id, lease.as_str());
+        let keys = self.shared.blobs.list(&folder).await.unwrap_or_default();
+        for key in keys {
+            if let Err(error) = self.shared.blobs.delete(&key).await {
+                tracing::warn!(%error, "a dropped result stays until the next start");
+            }
+        }
     }
 
     async fn drop_results(&self, job: &Job, lease: &Lease, artifacts: &[Packed]) {
@@ -105,7 +127,9 @@ struct Packed {
 }
 
 /// Every form as it is, and the texts compressed where that makes them smaller.
-async fn packed(artifacts: Vec<Artifact>) -> Vec<Packed> {
+///
+/// Without these once `cancel` is set.
+async fn packed(artifacts: Vec<Artifact>, cancel: CancelToken) -> Vec<Packed> {
     let plain: Vec<Packed> = artifacts
         .into_iter()
         .map(|artifact| Packed {
@@ -116,19 +140,20 @@ async fn packed(artifacts: Vec<Artifact>) -> Vec<Packed> {
         .collect();
     let texts: Vec<(OutputFormat, Bytes)> =
         plain.iter().map(|form| (form.format, form.bytes.clone())).collect();
-    let smaller =
-        tokio::task::spawn_blocking(move || texts.into_iter().flat_map(smaller).collect::<Vec<_>>());
+    let smaller = tokio::task::spawn_blocking(move || {
+        texts.into_iter().flat_map(|text| smaller(text, &cancel)).collect::<Vec<_>>()
+    });
     // What cannot be compressed is there as it is.
     let smaller = smaller.await.inspect_err(|error| tracing::warn!(%error, "results are not compressed"));
     plain.into_iter().chain(smaller.unwrap_or_default()).collect()
 }
 
-fn smaller((format, bytes): (OutputFormat, Bytes)) -> Vec<Packed> {
+fn smaller((format, bytes): (OutputFormat, Bytes), cancel: &CancelToken) -> Vec<Packed> {
     if bytes.len() < LEAST || format == OutputFormat::Glb {
         return Vec::new();
     }
     let pack = |coding: Coding| {
-        let packed = coding.pack(&bytes).ok().filter(|packed| packed.len() < bytes.len())?;
+        let packed = coding.pack(&bytes, cancel).ok().filter(|packed| packed.len() < bytes.len())?;
         Some(Packed { format, coding, bytes: packed.into() })
     };
     Coding::PACKED.into_iter().filter_map(pack).collect()

@@ -33,6 +33,7 @@ impl Retention {
 pub(super) async fn sweep(shared: &Shared) -> Result<(), StoreError> {
     let now = shared.clock.now_ms();
     let before = |kept: Duration| now.saturating_sub(i64::try_from(kept.as_millis()).unwrap_or(i64::MAX));
+    shared.store.ended_by(now).await?;
     if let Some(kept) = shared.settings.retention.job {
         sweep_jobs(shared, before(kept), now).await?;
     }

@@ -3,7 +3,8 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::blob::{BlobStore, LocalBlobs};
+use super::blob::{BlobError, BlobStore, LocalBlobs};
+use super::faults::{self, Operation, Side};
 use super::store::{DeliveryStore, JobStore, SqlStore};
 use super::{DataFolder, JobError};
 
@@ -28,7 +29,12 @@ impl Storage {
             Ok::<_, JobError>((folder, blobs))
         })
         .await??;
-        let store = Arc::new(SqlStore::open(&folder.database_url()).await?);
-        Ok(Self { deliveries: store.clone(), store, blobs: Arc::new(blobs), folder: Some(folder) })
+        faults::pass(Operation::StoreOpen, Side::Before).map_err(BlobError::Folder)?;
+        let sql = Arc::new(SqlStore::open(&folder.database_url()).await?);
+        faults::pass(Operation::StoreOpen, Side::After).map_err(BlobError::Folder)?;
+        let (deliveries, store): (Arc<dyn DeliveryStore>, Arc<dyn JobStore>) = (sql.clone(), sql);
+        #[cfg(debug_assertions)]
+        let store: Arc<dyn JobStore> = Arc::new(faults::FaultyStore(store));
+        Ok(Self { deliveries, store, blobs: Arc::new(blobs), folder: Some(folder) })
     }
 }

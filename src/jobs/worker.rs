@@ -9,25 +9,26 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
+use futures::FutureExt;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use tokio::sync::{Notify, oneshot, watch};
 use tracing::Instrument;
 
 use super::backoff::Backoff;
 use super::blob::{BlobError, BlobStore};
-use super::live::{Board, Entry, Snapshot};
+use super::faults::{Operation, Side, pass};
+use super::live::{Board, Entry};
 use super::meter::Meter;
 use super::runner::{Artifact, JobRunner, RunControl, Work};
 use super::store::{DeliveryStore, JobStore, StoreError};
 use super::timeline::Timeline;
+use super::watch::{flush, out_of_time, overdue};
 use super::{Clock, DataFolder, Job, JobFailure, JobStage, JobStatus, Lease, Settings};
 
-/// How long a cancelled run may take to stop before its job is settled without it.
-const STOP_WITHIN: Duration = Duration::from_secs(2);
 /// Tries to read an input before its job fails.
 const READS: u32 = 5;
 /// The stack of a pool's thread, bytes.
-const STACK: usize = 8 << 20;
+pub(super) const STACK: usize = 8 << 20;
 
 /// Whether workers claim and run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -58,7 +59,7 @@ pub(super) struct Shared {
 }
 
 /// How a run ended.
-enum Outcome {
+pub(super) enum Outcome {
     Answered(Result<Vec<Artifact>, JobFailure>),
     Panicked,
     /// It does not obey its cancellation; ready when it ends.
@@ -71,13 +72,15 @@ pub(super) struct Worker {
     pub(super) shared: Arc<Shared>,
     pool: ThreadPool,
     phase: watch::Receiver<Phase>,
+    /// What was claimed and is not settled.
+    at_work: Option<Job>,
 }
 
 impl Worker {
     pub(super) fn new(shared: Arc<Shared>, number: usize) -> Result<Self, ThreadPoolBuildError> {
         let pool = pool(&shared.settings, number)?;
         let phase = shared.phase.subscribe();
-        Ok(Self { shared, pool, phase })
+        Ok(Self { shared, pool, phase, at_work: None })
     }
 
     pub(super) fn phase(&self) -> Phase {
@@ -97,28 +100,64 @@ impl Worker {
         let mut backoff = Backoff::new();
         while self.phase() == Phase::Open {
             let lease = Lease::new();
-            match self.shared.store.claim(&lease, self.shared.clock.now_ms()).await {
-                Ok(Some(job)) => {
-                    backoff = Backoff::new();
-                    // There may be more: wake an idle worker to look.
-                    self.shared.wake.notify_one();
-                    let span = tracing::info_span!("job", id = %job.id);
-                    self.run(job, &lease).instrument(span).await;
-                }
-                Ok(None) => {
-                    let poll = self.shared.settings.poll;
-                    let shared = self.shared.clone();
-                    tokio::select! {
-                        () = shared.wake.notified() => {}
-                        () = self.pause(poll) => {}
-                    }
-                }
-                Err(error) => {
-                    tracing::error!(%error, "cannot claim jobs");
-                    self.unclaim(&lease, &mut backoff).await;
-                }
+            let turn = AssertUnwindSafe(self.turn(&lease, &mut backoff)).catch_unwind().await;
+            if turn.is_ok() {
+                continue;
+            }
+            tracing::error!("a worker panicked beside its run");
+            let settled = AssertUnwindSafe(self.settle_panic(&lease, &mut backoff)).catch_unwind().await;
+            if settled.is_err() {
+                tracing::error!("and again; its job is put back by the next start");
             }
         }
+    }
+
+    /// Claims a job and works it off, or waits for one.
+    async fn turn(&mut self, lease: &Lease, backoff: &mut Backoff) {
+        match self.shared.store.claim(lease, self.shared.clock.now_ms()).await {
+            Ok(Some(job)) => {
+                *backoff = Backoff::new();
+                self.at_work = Some(job.clone());
+                // There may be more: wake an idle worker to look.
+                self.shared.wake.notify_one();
+                let span = tracing::info_span!("job", id = %job.id);
+                self.run(job, lease).instrument(span).await;
+                self.at_work = None;
+            }
+            Ok(None) => {
+                let poll = self.shared.settings.poll;
+                let shared = self.shared.clone();
+                tokio::select! {
+                    () = shared.wake.notified() => {}
+                    () = self.pause(poll) => {}
+                }
+            }
+            Err(error) => {
+                tracing::error!(%error, "cannot claim jobs");
+                self.unclaim(lease, backoff).await;
+            }
+        }
+    }
+
+    /// Fails the job at which the worker panicked, if it has not ended.
+    async fn settle_panic(&mut self, lease: &Lease, backoff: &mut Backoff) {
+        let Some(job) = self.at_work.take() else { return self.unclaim(lease, backoff).await };
+        let entry = self.shared.board.start(job.id);
+        entry.cancel.cancel();
+        let failed = self.write_failure(&job, lease, None, &JobFailure::panicked()).await;
+        match failed {
+            Ok(true) => {
+                entry.settled(JobStatus::Failed);
+                self.drop_files(&job, lease).await;
+            }
+            // It had ended.
+            Ok(false) => {}
+            Err(error) => {
+                tracing::error!(%error, "cannot write the failure; the next start puts the job back")
+            }
+        }
+        entry.left();
+        self.shared.board.end(job.id);
     }
 
     /// Puts back the job that a failed claim may have got, else it would wait for the next start under a
@@ -226,7 +265,7 @@ impl Worker {
         let work = Work { input: job.input.clone(), bytes, spec: job.spec.clone() };
         let span = tracing::Span::current();
         self.pool.spawn(move || {
-            let run = || span.in_scope(|| runner.run(work, &control));
+            let run = || span.in_scope(|| between_points(|| runner.run(work, &control)));
             let outcome = match catch_unwind(AssertUnwindSafe(run)) {
                 Ok(result) => Outcome::Answered(result),
                 Err(_) => Outcome::Panicked,
@@ -326,54 +365,20 @@ impl Worker {
     }
 }
 
+/// A run between its points.
+fn between_points(
+    run: impl FnOnce() -> Result<Vec<Artifact>, JobFailure>,
+) -> Result<Vec<Artifact>, JobFailure> {
+    pass(Operation::Run, Side::Before).map_err(|error| JobFailure::not_started(&error))?;
+    let artifacts = run()?;
+    pass(Operation::Run, Side::After).map_err(|error| JobFailure::not_started(&error))?;
+    Ok(artifacts)
+}
+
 fn pool(settings: &Settings, number: usize) -> Result<ThreadPool, ThreadPoolBuildError> {
     ThreadPoolBuilder::new()
         .num_threads(settings.threads_per_worker.get())
         .thread_name(move |thread| format!("worker-{number}-{thread}"))
         .stack_size(STACK)
         .build()
-}
-
-/// Stops a run that took too long, and waits a while for it to obey.
-async fn out_of_time(entry: &Entry, mut answered: oneshot::Receiver<Outcome>) -> Outcome {
-    entry.cancel.cancel();
-    match tokio::time::timeout(STOP_WITHIN, &mut answered).await {
-        Ok(_) => Outcome::OutOfTime(None),
-        Err(_) => Outcome::OutOfTime(Some(answered)),
-    }
-}
-
-/// Ready when a run goes on although it was dismissed, or although the service stops.
-async fn overdue(mut phase: watch::Receiver<Phase>, entry: &Entry) {
-    let mut changes = entry.subscribe();
-    // Neither sender goes before the worker, so neither wait fails.
-    tokio::select! {
-        _ = phase.wait_for(|phase| *phase == Phase::Stopping) => {}
-        _ = changes.wait_for(|now| now.ended) => {}
-    }
-    entry.cancel.cancel();
-    tokio::time::sleep(STOP_WITHIN).await;
-}
-
-/// Writes progress to the store as it comes, not more often than set. Ready when the run goes on although
-/// its lease is lost.
-async fn flush(shared: &Shared, job: &Job, lease: &Lease, entry: &Entry) {
-    let mut changes = entry.subscribe();
-    let mut written = Snapshot::default();
-    loop {
-        tokio::time::sleep(shared.settings.flush).await;
-        // The sender lives in `entry`, so the wait does not fail.
-        let Ok(now) = changes.wait_for(|now| *now != written).await.map(|now| *now) else { return };
-        written = now;
-        let Some((stage, percent)) = written.progress() else { continue };
-        let time = shared.clock.now_ms();
-        match shared.store.progress(job.id, lease, percent, Some(stage.name()), time).await {
-            Ok(true) => entry.touched(time),
-            Ok(false) => {
-                entry.cancel.cancel();
-                return tokio::time::sleep(STOP_WITHIN).await;
-            }
-            Err(error) => tracing::warn!(%error, "cannot write progress"),
-        }
-    }
 }

@@ -44,18 +44,28 @@ impl Service {
 
     /// With a data folder that another one may have used.
     pub fn start_on(data: Arc<TempDir>, arguments: &[&str]) -> Self {
-        let mut child = command(data.path()).args(arguments).spawn().unwrap();
+        let started = Self::try_start(command(data.path()).args(arguments), data);
+        started.unwrap_or_else(|log| panic!("the service did not start: {log}"))
+    }
+
+    /// What it logged where it does not come up.
+    pub fn try_start(command: &mut Command, data: Arc<TempDir>) -> Result<Self, String> {
+        let mut child = command.spawn().unwrap();
         let log = Arc::new(Mutex::new(String::new()));
         collect(child.stderr.take().unwrap(), log.clone());
         let Some(line) = first_line(child.stdout.take().unwrap()) else {
             child.kill().ok();
             child.wait().ok();
-            panic!("the service did not start: {}", log.lock().unwrap());
+            return Err(log.lock().unwrap().clone());
         };
         let url = line.trim().strip_prefix("listening on ").unwrap().to_owned();
         // The system's certificates are none of a test's business.
         let client = Client::builder().tls_certs_only([]).build().unwrap();
-        Self { child, url, client, log, data }
+        Ok(Self { child, url, client, log, data })
+    }
+
+    pub fn has_ended(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_some()
     }
 
     /// Starts again on the same folder after this one has ended.
@@ -63,6 +73,10 @@ impl Service {
         let data = self.data.clone();
         drop(self);
         Self::start_on(data, arguments)
+    }
+
+    pub fn pid(&self) -> u32 {
+        self.child.id()
     }
 
     pub fn data(&self) -> PathBuf {
@@ -201,6 +215,15 @@ impl Service {
             }
         }
         files
+    }
+
+    /// How many files there are, once there are as many as should be, or after a while.
+    pub async fn settled_files(&self, expected: usize) -> usize {
+        let begin = Instant::now();
+        while self.files().len() != expected && begin.elapsed() < Duration::from_secs(5) {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+        self.files().len()
     }
 
     /// The blob folder has no files; a short while is granted for those of a request that has just ended.

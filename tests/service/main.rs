@@ -27,6 +27,9 @@ mod changes;
 mod deletion;
 mod dry_run;
 mod events;
+#[cfg(debug_assertions)]
+mod faults;
+mod isolation;
 mod keys;
 mod listing;
 mod load;
@@ -38,6 +41,7 @@ mod results;
 mod retention;
 mod setup;
 mod shared_meshes;
+mod soak;
 mod stalls;
 mod storage_faults;
 mod submission;

@@ -74,6 +74,9 @@ pub struct Args {
     /// How long one run of a job may take.
     #[arg(long, env = "ROSALINE_MAX_RUN", default_value = "60m", value_name = "TIME")]
     pub max_run: Span,
+    /// Memory that one run of a job may have, beside its threads' stacks; one that needs more is failed.
+    #[arg(long, env = "ROSALINE_MAX_MEMORY", default_value = "4GiB", value_name = "SIZE", value_parser = memory)]
+    pub max_memory: Size,
     /// How long an ended job's mesh is kept, 0 for not at all [default: as long as the job].
     #[arg(long, env = "ROSALINE_KEEP_INPUT", value_name = "TIME")]
     pub keep_input: Option<Span>,
@@ -135,6 +138,17 @@ impl FromStr for Size {
         };
         number.checked_mul(factor).filter(|&bytes| bytes > 0).map(Size).ok_or_else(expected)
     }
+}
+
+/// Less is not enough for any mesh.
+const LEAST_MEMORY: u64 = 64 << 20;
+
+fn memory(text: &str) -> Result<Size, String> {
+    let size: Size = text.parse()?;
+    if size.0 < LEAST_MEMORY {
+        return Err(format!("a run needs at least {} MiB", LEAST_MEMORY >> 20));
+    }
+    Ok(size)
 }
 
 /// A length of time.

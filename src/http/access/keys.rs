@@ -10,6 +10,8 @@ use sha2::{Digest, Sha256};
 use time::OffsetDateTime;
 use time::format_description::well_known::Rfc3339;
 
+use crate::jobs::faults::{Operation, between};
+
 /// What every key begins with, so that leaked ones can be searched for.
 pub(super) const PREFIX: &str = "rosaline_";
 /// Bytes of a key's id, which is no secret, and of its secret.
@@ -180,9 +182,10 @@ fn is_absent(error: &io::Error) -> bool {
 fn write(path: &Path, kept: &Kept) -> io::Result<()> {
     let temporary = path.with_extension("new");
     let mut file = private().truncate(true).open(&temporary)?;
-    file.write_all(&serde_json::to_vec_pretty(kept)?)?;
-    file.sync_all()?;
-    fs::rename(&temporary, path)?;
+    let text = serde_json::to_vec_pretty(kept)?;
+    between(Operation::KeysWrite, || file.write_all(&text))?;
+    between(Operation::KeysSync, || file.sync_all())?;
+    between(Operation::KeysRename, || fs::rename(&temporary, path))?;
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
 }

@@ -45,6 +45,9 @@ pub struct LimitsDocument {
     jobs_per_principal: u64,
     /// Seconds that one run of a job may take.
     run_seconds: u64,
+    /// Bytes of memory that one run of a job may have, beside its threads' stacks.
+    #[schema(example = 4_294_967_296_u64)]
+    job_memory_bytes: u64,
     /// Seconds that `Prefer: wait` is honoured at most.
     wait_seconds: u64,
     /// Jobs on one page of the list at most.
@@ -72,6 +75,7 @@ impl From<&Limits> for LimitsDocument {
             queue: limits.queue,
             jobs_per_principal: limits.jobs_per_principal,
             run_seconds: limits.run.as_secs(),
+            job_memory_bytes: limits.job_memory,
             wait_seconds: limits.wait.as_secs(),
             page: limits.page_most,
             name_chars: limits.name_chars,

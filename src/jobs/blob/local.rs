@@ -12,6 +12,8 @@ use object_store::path::Path as Key;
 use object_store::{GetOptions, MultipartUpload, ObjectStore, ObjectStoreExt, PutPayload};
 use sha2::{Digest, Sha256};
 
+use crate::jobs::faults::{self, Operation, Side};
+
 use super::{BlobBody, BlobError, BlobFuture, BlobInfo, BlobReader, BlobStore};
 
 /// Bytes gathered before they are hashed and written.
@@ -81,6 +83,23 @@ fn classified(key: &str, error: object_store::Error) -> BlobError {
     BlobError::Storage(error)
 }
 
+/// Passes a point.
+fn point(operation: Operation, side: Side) -> Result<(), BlobError> {
+    faults::pass(operation, side).map_err(|error| match error.kind() {
+        io::ErrorKind::StorageFull => BlobError::Full,
+        _ => BlobError::Folder(error),
+    })
+}
+
+/// The points of a blob's creation, of its writes, and of its commit.
+fn points(key: &str) -> [Operation; 3] {
+    if key.ends_with("/input") {
+        [Operation::InputCreate, Operation::InputWrite, Operation::InputCommit]
+    } else {
+        [Operation::ResultCreate, Operation::ResultWrite, Operation::ResultCommit]
+    }
+}
+
 /// An upload under way: gathers parts, hashes and writes them off the async threads.
 struct Writer<'a> {
     key: &'a str,
@@ -101,10 +120,13 @@ impl Writer<'_> {
             hash.update(&bytes);
             hash
         });
+        let [_, write, _] = points(self.key);
+        point(write, Side::Before)?;
         self.upload
             .put_part(PutPayload::from_bytes(part))
             .await
             .map_err(|error| classified(self.key, error))?;
+        point(write, Side::After)?;
         self.hash = hashing.await.map_err(|error| BlobError::Folder(io::Error::other(error)))?;
         Ok(())
     }
@@ -122,8 +144,10 @@ impl Writer<'_> {
             }
         }
         self.flush().await?;
+        let [_, _, commit] = points(self.key);
+        point(commit, Side::Before)?;
         self.upload.complete().await.map_err(|error| classified(self.key, error))?;
-        Ok(())
+        point(commit, Side::After)
     }
 }
 
@@ -131,10 +155,17 @@ impl BlobStore for LocalBlobs {
     fn put<'a>(&'a self, key: &'a str, body: BlobBody<'a>, limit: u64) -> BlobFuture<'a, BlobInfo> {
         async move {
             let failed = |error| classified(key, error);
+            let [create, ..] = points(key);
+            point(create, Side::Before)?;
             // Dropping the upload removes its staging file.
             let upload = self.files.put_multipart(&Key::from(key)).await.map_err(failed)?;
+            point(create, Side::After)?;
             let mut writer = Writer { key, upload, hash: Sha256::new(), size: 0, part: BytesMut::new() };
-            writer.write(body, limit).await?;
+            if let Err(error) = writer.write(body, limit).await {
+                // Its folder's sync may have failed with the file in its place.
+                self.files.delete(&Key::from(key)).await.ok();
+                return Err(error);
+            }
             let sha256 = writer.hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
             Ok(BlobInfo { size: writer.size, sha256 })
         }
@@ -162,8 +193,9 @@ impl BlobStore for LocalBlobs {
 
     fn delete<'a>(&'a self, key: &'a str) -> BlobFuture<'a, ()> {
         async move {
+            point(Operation::FileDelete, Side::Before)?;
             match self.files.delete(&Key::from(key)).await {
-                Ok(()) => Ok(()),
+                Ok(()) => point(Operation::FileDelete, Side::After),
                 Err(object_store::Error::NotFound { .. }) => self.is_there(),
                 Err(error) => Err(classified(key, error)),
             }

@@ -90,6 +90,9 @@ pub trait RetentionStore {
     /// The owner of an expired job, if it is one.
     fn expired(&self, id: JobId) -> StoreFuture<'_, Option<Option<String>>>;
 
+    /// Jobs that ended later than `now`, by a clock that was ahead, ended now: they would stay too long.
+    fn ended_by(&self, now: i64) -> StoreFuture<'_, ()>;
+
     /// Forgets what expired at `time` or before.
     fn forget_expired(&self, time: i64) -> StoreFuture<'_, ()>;
 }

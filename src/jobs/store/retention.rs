@@ -60,6 +60,14 @@ impl RetentionStore for SqlStore {
         .boxed()
     }
 
+    fn ended_by(&self, now: i64) -> StoreFuture<'_, ()> {
+        async move {
+            self.change(sqlx::query("UPDATE jobs SET finished = $1 WHERE finished > $1").bind(now)).await?;
+            Ok(())
+        }
+        .boxed()
+    }
+
     fn forget_expired(&self, time: i64) -> StoreFuture<'_, ()> {
         async move {
             self.change(sqlx::query("DELETE FROM expired WHERE at <= $1").bind(time)).await?;
