@@ -1,6 +1,7 @@
 //! The command line: one module a subcommand.
 
 mod compare;
+mod doctor;
 mod extract;
 mod files;
 mod health;
@@ -41,6 +42,8 @@ enum Command {
     Keys(keys::Args),
     /// Say who is told of the ends of jobs.
     Webhooks(webhooks::Args),
+    /// Look whether the service would work with these settings: exit code 0 when nothing is wrong.
+    Doctor(serve::Args),
     /// Ask a running service whether it is ready: exit code 0 when it is.
     Health(health::Args),
     /// Work off one job, of which stdin tells: the service starts this.
@@ -104,6 +107,7 @@ fn run(cli: Cli) -> Result<(), Failure> {
         Command::Phantom(args) => phantom::run(args),
         Command::Keys(args) => keys::run(args),
         Command::Webhooks(args) => webhooks::run(args),
+        Command::Doctor(args) => doctor::run(args),
         Command::Health(args) => health::run(args),
         Command::Work(args) => work::run(args),
         Command::Openapi(args) => openapi::run(args),

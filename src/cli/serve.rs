@@ -139,7 +139,7 @@ fn webhook_settings(args: &Args) -> webhooks::Settings {
     }
 }
 
-fn settings(args: &Args) -> Result<Settings, TooManyWorkers> {
+pub(super) fn settings(args: &Args) -> Result<Settings, TooManyWorkers> {
     let retention =
         Retention { input: args.keep_input.map(|span| span.0), job: args.keep_jobs.map(|span| span.0) };
     let settings = Settings {

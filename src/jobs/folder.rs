@@ -82,7 +82,7 @@ impl DataFolder {
     }
 }
 
-/// Takes the lock; one that is taken is asked for a few times, as a look at it takes it too.
+/// Takes the lock; one that is taken is asked for a few times, as a look at it (`rosaline doctor`) takes it too.
 fn patient_lock(lock: &File) -> Result<(), TryLockError> {
     for _ in 0..LOCK_TRIES {
         match lock.try_lock() {
@@ -120,7 +120,7 @@ pub(super) fn create(path: &Path) -> io::Result<()> {
 }
 
 /// The path with everything that a URL reads as its own escaped.
-fn percent_encoded(path: &Path) -> String {
+pub(super) fn percent_encoded(path: &Path) -> String {
     let mut text = String::new();
     for byte in path.as_os_str().as_encoded_bytes() {
         match byte {

@@ -14,6 +14,7 @@
 
 mod backoff;
 pub mod blob;
+pub mod checkup;
 mod clock;
 mod coding;
 mod error;

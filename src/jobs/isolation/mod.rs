@@ -146,7 +146,7 @@ fn start() -> io::Result<(Child, Pipes)> {
 }
 
 /// This program, also when its file was replaced since.
-fn program() -> io::Result<std::path::PathBuf> {
+pub fn program() -> io::Result<std::path::PathBuf> {
     let running = std::path::Path::new("/proc/self/exe");
     if running.exists() { Ok(running.to_owned()) } else { std::env::current_exe() }
 }

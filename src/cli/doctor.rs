@@ -1,0 +1,204 @@
+//! `rosaline doctor`: looks whether the service would work with these settings, and says what to do where not.
+
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use super::Failure;
+use super::serve::{self, settings};
+use crate::http::access::KeyFile;
+use crate::jobs::checkup::{self, Finding};
+use crate::jobs::isolation::program;
+use crate::jobs::{Clock, SystemClock};
+
+/// Prints a line a finding, for the settings of `rosaline serve`; a running service is not disturbed.
+///
+/// # Errors
+/// When something is wrong.
+pub fn run(args: serve::Args) -> Result<(), Failure> {
+    let in_use = checkup::is_in_use(&args.data);
+    let now = SystemClock.now_ms();
+    let mut found = checkup::folder(&args.data);
+    if in_use {
+        found.push(Finding::Note("a service uses this data folder now".to_owned()));
+    }
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    found.extend(runtime.block_on(checkup::database(&args.data, now)));
+    let keys = args.keys.clone().unwrap_or_else(|| args.data.join("keys.json"));
+    let (is_closed, keys) = keys_of(&keys);
+    found.extend(keys);
+    found.extend(address(&args, is_closed, in_use));
+    found.push(audit(&args));
+    found.extend(bounds(&args));
+    found.push(clock(now));
+    found.push(descriptors(args.max_uploads.get() as u64));
+    found.push(process());
+    tell(&found)
+}
+
+fn tell(found: &[Finding]) -> Result<(), Failure> {
+    let mut out = std::io::stdout();
+    for finding in found {
+        match finding {
+            Finding::Well(what) => writeln!(out, "well   {what}")?,
+            Finding::Note(what) => writeln!(out, "note   {what}")?,
+            Finding::Wrong(what, todo) => writeln!(out, "WRONG  {what}; {todo}")?,
+        }
+    }
+    match found.iter().filter(|finding| finding.is_wrong()).count() {
+        0 => Ok(()),
+        1 => Err(Failure::new("1 thing is wrong")),
+        wrong => Err(Failure::new(format!("{wrong} things are wrong"))),
+    }
+}
+
+/// Whether a key is needed, and what is to be said of the keys.
+fn keys_of(path: &Path) -> (bool, Vec<Finding>) {
+    if !path.exists() {
+        return (
+            false,
+            vec![Finding::Note("no key was made: whoever reaches the address may do everything".to_owned())],
+        );
+    }
+    let mut found: Vec<Finding> = checkup::secrecy(path, "the key file", "600").into_iter().collect();
+    found.push(match KeyFile::new(path).list() {
+        Err(error) => Finding::wrong(
+            error.to_string(),
+            "nobody is let in: put a copy back, or remove it and make new keys",
+        ),
+        Ok(keys) => match keys.iter().filter(|key| key.revoked.is_none()).count() {
+            0 => {
+                Finding::wrong("every key is revoked: nobody is let in", "make one with 'rosaline keys add'")
+            }
+            active => Finding::Well(format!("{active} keys are in force")),
+        },
+    });
+    (true, found)
+}
+
+fn address(args: &serve::Args, is_closed: bool, in_use: bool) -> Vec<Finding> {
+    let resolved = args.listen.to_socket_addrs().ok().and_then(|mut all| all.next());
+    let Some(address) = resolved else {
+        let what = format!("--listen {} is no address of this machine", args.listen);
+        return vec![Finding::wrong(what, "give HOST:PORT, 127.0.0.1:8080 for example")];
+    };
+    let mut found = vec![reach(address, is_closed, args.insecure)];
+    found.push(match TcpListener::bind(address) {
+        Ok(_) => Finding::Well(format!("{address} is free")),
+        Err(_) if in_use => Finding::Well(format!("{address} is taken, by the service as it seems")),
+        Err(error) => Finding::wrong(
+            format!("{address} cannot be listened on: {error}"),
+            "stop what listens there, or choose another with --listen",
+        ),
+    });
+    found
+}
+
+/// Who can reach the address, and whether they should.
+fn reach(address: SocketAddr, is_closed: bool, insecure: bool) -> Finding {
+    match (address.ip().to_canonical().is_loopback(), is_closed, insecure) {
+        (true, ..) => Finding::Well(format!("only this machine reaches {address}")),
+        (false, true, _) => Finding::Note(format!(
+            "other machines reach {address}; their keys and meshes cross the network in the clear unless there is TLS before it"
+        )),
+        (false, false, true) => {
+            Finding::Note(format!("other machines reach {address} and need no key, as --insecure says"))
+        }
+        (false, false, false) => Finding::wrong(
+            format!("other machines would reach {address} without a key: the service does not start"),
+            "make a key with 'rosaline keys add', or listen on 127.0.0.1",
+        ),
+    }
+}
+
+fn audit(args: &serve::Args) -> Finding {
+    let path = args.audit.clone().unwrap_or_else(|| args.data.join("audit.jsonl"));
+    let folder =
+        path.parent().filter(|each| !each.as_os_str().is_empty()).map_or(PathBuf::from("."), Path::to_owned);
+    let added = match path.exists() {
+        true => OpenOptions::new().append(true).open(&path).map(drop),
+        // A first start makes the data folder itself.
+        false if folder.is_dir() || args.audit.is_none() => Ok(()),
+        false => Err(std::io::ErrorKind::NotFound.into()),
+    };
+    match added {
+        Ok(()) => Finding::Well(format!("the audit trail goes to {}", path.display())),
+        Err(error) => Finding::wrong(
+            format!("the audit trail {} cannot be added to: {error}", path.display()),
+            "give it to the user that runs the service, or choose another with --audit",
+        ),
+    }
+}
+
+/// Whether the limits fit each other and the machine.
+fn bounds(args: &serve::Args) -> Vec<Finding> {
+    let settings = match settings(args) {
+        Ok(settings) => settings,
+        Err(error) => return vec![Finding::wrong(error.to_string(), "change --workers or --threads")],
+    };
+    let runs = args.max_memory.0.saturating_mul(settings.workers.get() as u64);
+    let uploads = args.max_upload.0.saturating_mul(args.validations.get() as u64);
+    let wanted = runs.saturating_add(uploads);
+    let gib = |bytes: u64| bytes as f64 / f64::from(1 << 30);
+    let (workers, validations) = (settings.workers, args.validations);
+    vec![match memory() {
+        Some(memory) if wanted > memory => Finding::Note(format!(
+            "{workers} runs and {validations} checks of uploads may take {:.1} GiB and this machine has {:.1}: the \
+             largest meshes at once would be too much; lower --max-memory, --workers, --validations or --max-upload",
+            gib(wanted),
+            gib(memory)
+        )),
+        Some(memory) => {
+            Finding::Well(format!("jobs take {:.1} of {:.1} GiB of memory at most", gib(wanted), gib(memory)))
+        }
+        None => Finding::Note("how much memory this machine has is not known".to_owned()),
+    }]
+}
+
+/// Bytes of memory of this machine.
+fn memory() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
+    Some(line.split_whitespace().next()?.parse::<u64>().ok()? * 1024)
+}
+
+fn clock(now_ms: i64) -> Finding {
+    /// 2026-01-01: no machine that this runs on was set before.
+    const LEAST_MS: i64 = 1_767_225_600_000;
+    if now_ms < LEAST_MS {
+        return Finding::wrong("this machine's clock is years behind", "set it, and keep it set by NTP");
+    }
+    Finding::Well("the clock is of this time".to_owned())
+}
+
+fn descriptors(uploads: u64) -> Finding {
+    /// For the database, logs, workers and connections that only ask.
+    const OTHERS: u64 = 256;
+    // A connection and its file.
+    let wanted = uploads.saturating_mul(2).saturating_add(OTHERS);
+    match checkup::descriptors() {
+        Ok(most) if most < wanted => Finding::wrong(
+            format!("{most} files may be open at once and {uploads} uploads need {wanted}"),
+            "raise it (ulimit -n, LimitNOFILE) or lower --max-uploads",
+        ),
+        Ok(most) => Finding::Well(format!("{most} files may be open at once")),
+        Err(error) => Finding::Note(format!("how many files may be open is not known: {error}")),
+    }
+}
+
+/// Runs are processes of their own.
+fn process() -> Finding {
+    let started = program().and_then(|program| Command::new(program).arg("--version").output());
+    match started {
+        Ok(output) if output.status.success() => Finding::Well("runs can be started".to_owned()),
+        Ok(output) => Finding::wrong(
+            format!("a run ends at its start: {}", output.status),
+            "see to the limits of the user",
+        ),
+        Err(error) => {
+            Finding::wrong(format!("a run cannot be started: {error}"), "let the service start processes")
+        }
+    }
+}

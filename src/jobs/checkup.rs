@@ -1,0 +1,182 @@
+//! Looks at a data folder without using it: for `rosaline doctor`, also while a service runs there.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write};
+use std::path::Path;
+
+use sqlx::{AnyConnection, Connection};
+
+use super::folder::percent_encoded;
+
+/// What was found, in words for the operator.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Finding {
+    Well(String),
+    /// Works, and should be known.
+    Note(String),
+    /// Does not work, or not for long: what it is, and what to do.
+    Wrong(String, String),
+}
+
+impl Finding {
+    pub fn wrong(what: impl Into<String>, todo: impl Into<String>) -> Self {
+        Self::Wrong(what.into(), todo.into())
+    }
+
+    pub fn is_wrong(&self) -> bool {
+        matches!(self, Finding::Wrong(..))
+    }
+}
+
+/// Bytes that must fit: the reserve for a full disk, and a little.
+const ROOM: usize = 4 << 20;
+
+/// Whether a service could keep its files here: writes, syncs and renames work, and there is room.
+///
+/// What is written has a name of its own and is removed.
+pub fn folder(path: &Path) -> Vec<Finding> {
+    if !path.exists() {
+        let parent = path.ancestors().skip(1).find(|each| each.as_os_str().is_empty() || each.exists());
+        let parent = parent.filter(|each| !each.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let created = format!("the data folder {} is not there; the first start creates it", path.display());
+        return vec![tried(parent, path).map_or_else(|wrong| wrong, |()| Finding::Note(created))];
+    }
+    if !path.is_dir() {
+        let what = format!("{} is not a folder", path.display());
+        return vec![Finding::wrong(what, "choose another folder with --data")];
+    }
+    let mut found = vec![match tried(path, path) {
+        Ok(()) => {
+            Finding::Well(format!("the data folder {}: writes, syncs and renames work", path.display()))
+        }
+        Err(wrong) => wrong,
+    }];
+    found.extend(secrecy(path, "the data folder", "700"));
+    found
+}
+
+/// Tries in `place` what a service does in its folder; `named` is what the finding is about.
+fn tried(place: &Path, named: &Path) -> Result<(), Finding> {
+    let probe = place.join(format!("doctor-{}.probe", std::process::id()));
+    let moved = probe.with_extension("moved");
+    let outcome = try_files(&probe, &moved);
+    // Whichever of the two is there.
+    fs::remove_file(&probe).ok();
+    fs::remove_file(&moved).ok();
+    outcome.map_err(|(step, error)| {
+        let what = format!("the data folder {}: it {step}: {error}", named.display());
+        Finding::wrong(
+            what,
+            match error.kind() {
+                io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "free space on its disk",
+                io::ErrorKind::ReadOnlyFilesystem => "mount its disk for writing",
+                io::ErrorKind::PermissionDenied => "give it to the user that runs the service",
+                _ => "choose another folder with --data, or see to its disk",
+            },
+        )
+    })
+}
+
+fn try_files(probe: &Path, moved: &Path) -> Result<(), (&'static str, io::Error)> {
+    let step = |name: &'static str| move |error| (name, error);
+    let mut file = File::create(probe).map_err(step("cannot be written"))?;
+    file.write_all(&vec![0x5a; ROOM]).map_err(step("cannot be written"))?;
+    file.sync_all().map_err(step("cannot be synced"))?;
+    fs::rename(probe, moved).map_err(step("cannot rename files"))?;
+    let folder = moved.parent().unwrap_or(Path::new("."));
+    File::open(folder).and_then(|folder| folder.sync_all()).map_err(step("cannot be synced"))?;
+    let kept = fs::metadata(moved).map_err(step("loses files"))?.len();
+    if kept == ROOM as u64 { Ok(()) } else { Err(("loses bytes", io::ErrorKind::UnexpectedEof.into())) }
+}
+
+/// Whether others than its owner may read it.
+pub fn secrecy(path: &Path, what: &str, mode: &str) -> Option<Finding> {
+    #[cfg(unix)]
+    if let Ok(found) = fs::metadata(path)
+        && std::os::unix::fs::MetadataExt::mode(&found) & 0o077 != 0
+    {
+        let open = format!("{what} {} can be read by other users of this machine", path.display());
+        return Some(Finding::wrong(open, format!("chmod {mode} {}", path.display())));
+    }
+    #[cfg(not(unix))]
+    let _ = (path, what, mode);
+    None
+}
+
+/// Whether a service uses the folder now. Its lock is asked for and given back at once.
+pub fn is_in_use(path: &Path) -> bool {
+    let lock = OpenOptions::new().write(true).open(path.join("lock"));
+    lock.is_ok_and(|lock| matches!(lock.try_lock(), Err(fs::TryLockError::WouldBlock)))
+}
+
+/// Whether the database is whole, of a form that this version knows, and of this time. Reads only.
+pub async fn database(path: &Path, now_ms: i64) -> Vec<Finding> {
+    let file = path.join("jobs.sqlite");
+    if !file.exists() {
+        return vec![Finding::Note("there is no job database yet; the first start creates it".to_owned())];
+    }
+    match examine(&file, now_ms).await {
+        Ok(found) => found,
+        Err(error) => {
+            let what = format!("the job database {} cannot be read: {error}", file.display());
+            vec![Finding::wrong(what, "put a copy back that was made while the service was stopped")]
+        }
+    }
+}
+
+/// How far a job may be ahead of the clock.
+const AHEAD_MS: i64 = 60 * 60 * 1000;
+
+async fn examine(file: &Path, now_ms: i64) -> Result<Vec<Finding>, sqlx::Error> {
+    sqlx::any::install_default_drivers();
+    // Without a log of changes nobody writes: no file is made beside the database to read it.
+    let calm = !file.with_extension("sqlite-wal").exists();
+    let url = format!("sqlite://{}?mode=ro&immutable={calm}", percent_encoded(file));
+    let mut store = AnyConnection::connect(&url).await?;
+    let integrity: String = sqlx::query_scalar("SELECT integrity_check FROM pragma_integrity_check LIMIT 1")
+        .fetch_one(&mut store)
+        .await?;
+    let version: i64 = sqlx::query_scalar("SELECT COALESCE(MAX(version), 0) FROM _sqlx_migrations")
+        .fetch_one(&mut store)
+        .await?;
+    let (jobs, newest): (i64, i64) =
+        sqlx::query_as("SELECT COUNT(*), COALESCE(MAX(created), 0) FROM jobs").fetch_one(&mut store).await?;
+    store.close().await?;
+    // One line, whatever it lists.
+    let integrity = integrity.split_whitespace().collect::<Vec<_>>().join(" ");
+    let mut found = Vec::new();
+    found.push(if integrity == "ok" {
+        Finding::Well(format!("the job database is whole: {jobs} jobs"))
+    } else {
+        Finding::wrong(
+            format!("the job database is damaged: {integrity}"),
+            "stop the service and put a copy back that was made while it was stopped",
+        )
+    });
+    let known =
+        sqlx::migrate!("src/jobs/store/migrations").iter().map(|each| each.version).max().unwrap_or(0);
+    found.push(match version.cmp(&known) {
+        std::cmp::Ordering::Equal => Finding::Well(format!("the job database has this version's form, {known}")),
+        std::cmp::Ordering::Less => Finding::Note(format!(
+            "the job database has the form {version}; the next start brings it to {known}, and older versions \
+             cannot use it then: keep a copy"
+        )),
+        std::cmp::Ordering::Greater => Finding::wrong(
+            format!("the job database has the form {version} of a newer version; this one knows {known}"),
+            "install that version again, or use another data folder",
+        ),
+    });
+    if newest > now_ms.saturating_add(AHEAD_MS) {
+        let hours = (newest - now_ms) / 3_600_000;
+        found.push(Finding::wrong(
+            format!("the newest job is {hours} hours ahead of this machine's clock"),
+            "set the clock; jobs made meanwhile are kept longer than they should be",
+        ));
+    }
+    Ok(found)
+}
+
+/// How many files a process may have open.
+pub fn descriptors() -> io::Result<u64> {
+    Ok(nix::sys::resource::getrlimit(nix::sys::resource::Resource::RLIMIT_NOFILE)?.0)
+}
