@@ -17,6 +17,8 @@ pub struct Foot {
     pub outside: f64,
     /// Parameter on the curve, 0 to 1.
     pub t: f64,
+    /// How the place moves with each of the control points.
+    pub basis: [f64; 4],
     /// Unit direction from the curve to the point.
     pub direction: Vector3<f64>,
 }
@@ -57,19 +59,26 @@ impl Limb {
         std::array::from_fn(|i| self.at(i as f64 / Self::PIECES as f64))
     }
 
-    /// The nearest place of the wall swept by spheres along `pieces`.
+    /// The nearest place of the wall swept by spheres along `pieces`: each a cone that touches the spheres at its ends.
     pub fn foot(&self, pieces: &[Point3<f64>], point: &Point3<f64>) -> Foot {
-        let mut best = Foot { outside: f64::INFINITY, t: 0.0, direction: Vector3::zeros() };
+        let grows = (self.radii[1] - self.radii[0]) / Self::PIECES as f64;
+        let mut best = Foot { outside: f64::INFINITY, t: 0.0, basis: [0.0; 4], direction: Vector3::zeros() };
         for (number, pair) in pieces.windows(2).enumerate() {
             let step = pair[1] - pair[0];
-            let share =
-                ((point - pair[0]).dot(&step) / step.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+            let square = step.norm_squared().max(f64::MIN_POSITIVE);
+            let beside = (point - pair[0]).dot(&step) / square;
+            let across = (point - pair[0] - step * beside).norm();
+            // The nearest place of a cone's wall belongs to a sphere toward its wide end.
+            let wider = grows * across / (square * (square - grows * grows).max(0.01 * square)).sqrt();
+            let share = (beside + wider).clamp(0.0, 1.0);
             let t = (number as f64 + share) / Self::PIECES as f64;
             let arm = point - (pair[0] + step * share);
             let length = arm.norm();
             let outside = length - self.radius(t);
             if outside < best.outside {
-                best = Foot { outside, t, direction: arm / length.max(f64::MIN_POSITIVE) };
+                let ends = [number, number + 1].map(|end| Self::basis(end as f64 / Self::PIECES as f64));
+                let basis = std::array::from_fn(|k| ends[0][k] * (1.0 - share) + ends[1][k] * share);
+                best = Foot { outside, t, basis, direction: arm / length.max(f64::MIN_POSITIVE) };
             }
         }
         best
@@ -91,7 +100,11 @@ mod tests {
         let pieces = limb.pieces();
         let beyond = limb.foot(&pieces, &at(6.0));
         assert!((beyond.outside - 1.0).abs() < 1e-12 && beyond.t == 1.0);
-        let beside = limb.foot(&pieces, &Point3::new(1.5, 1.5, 0.0));
-        assert!(beside.outside.abs() < 0.3 && beside.direction.y > 0.9);
+        // The cone that touches both balls: its wall at distance h from the axis and place x lies (h - 1 - x / 3) cos
+        // away, where the sine of its half angle is 1/3.
+        let point = Point3::new(1.5, 2.5, 0.0);
+        let beside = limb.foot(&pieces, &point);
+        let expected = 2.5 * (8.0_f64 / 9.0).sqrt() - (1.0 + 1.5 / 3.0);
+        assert!((beside.outside - expected).abs() < 1e-9, "{} is not {expected}", beside.outside);
     }
 }

@@ -1,5 +1,8 @@
-//! The union of swept spheres that lies nearest to the wall around a joint: Gauss-Newton over the joint's centre
-//! and the curves of its branches, with robust weights (Geman and McClure 1987).
+//! The union of swept spheres that lies nearest to the wall around a joint: least squares over the joint's centre and
+//! the curves of its branches, with robust weights (Geman and McClure 1987).
+//!
+//! Which branch a vertex belongs to, and how far it is to be trusted, is settled at the start of each round; what is left
+//! is one sum of squares, which Levenberg's and Marquardt's method makes least.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3};
 
@@ -17,7 +20,10 @@ const LEVER: f64 = 0.5;
 /// Prior deviations: radius at the centre (share), centre from where it was (widest radius).
 const RADIUS: f64 = 0.08;
 const CENTRE: f64 = 1.0;
-const STEPS: usize = 15;
+const ROUNDS: usize = 6;
+const STEPS: usize = 6;
+/// A step so small (widest radius) is none.
+const STILL: f64 = 1e-10;
 /// Unknowns of a limb: its third control point and its radius at the centre.
 const OWN: usize = 4;
 
@@ -55,6 +61,13 @@ pub struct UnionFit<'a> {
     pub lines: (Matrix3<f64>, Vector3<f64>),
 }
 
+/// A vertex of a limb's wall.
+struct Share {
+    vertex: Point3<f64>,
+    limb: usize,
+    trust: f64,
+}
+
 struct Normal {
     matrix: DMatrix<f64>,
     right: DVector<f64>,
@@ -62,11 +75,26 @@ struct Normal {
 }
 
 impl UnionFit<'_> {
-    /// The centre and the branches' ways; `None` when the fit runs away. O(steps x vertices x branches).
+    /// The centre and the branches' ways; `None` when the fit runs away. O(rounds x vertices x branches).
     pub fn solve(&self) -> Option<(Point3<f64>, Vec<Limb>)> {
         let mut limbs: Vec<Limb> = self.starts.iter().map(|start| start.limb).collect();
-        let mut normal = self.normal(&limbs);
-        let mut damping = 1e-3;
+        let widest = limbs.iter().map(|limb| limb.radii[0]).fold(0.0, f64::max);
+        for _ in 0..ROUNDS {
+            let shares = self.shares(&limbs);
+            limbs = self.descend(limbs, &shares, STILL * widest)?;
+        }
+        let centre = limbs.first()?.control[3];
+        let sound = (centre - self.origin).norm() < 2.0 * widest
+            && limbs
+                .iter()
+                .all(|limb| limb.radii[1] > 0.5 * limb.radii[0] && limb.radii[1] < 1.6 * limb.radii[0]);
+        sound.then_some((centre, limbs))
+    }
+
+    /// Levenberg and Marquardt's steps, until they are smaller than `still`.
+    fn descend(&self, mut limbs: Vec<Limb>, shares: &[Share], still: f64) -> Option<Vec<Limb>> {
+        let mut normal = self.normal(&limbs, shares);
+        let mut damping = 1e-4;
         for _ in 0..STEPS {
             let mut matrix = normal.matrix.clone();
             for i in 0..matrix.nrows() {
@@ -74,24 +102,17 @@ impl UnionFit<'_> {
             }
             let step = matrix.cholesky()?.solve(&normal.right);
             let moved = self.moved(&limbs, &step);
-            let after = self.normal(&moved);
+            let after = self.normal(&moved, shares);
             if after.cost < normal.cost {
-                let still = normal.cost - after.cost < 1e-10 * normal.cost;
-                (limbs, normal, damping) = (moved, after, damping * 0.3);
-                if still {
-                    break;
-                }
+                (limbs, normal, damping) = (moved, after, damping * 0.1);
             } else {
                 damping *= 10.0;
             }
+            if step.amax() < still {
+                break;
+            }
         }
-        let centre = limbs.first()?.control[3];
-        let widest = limbs.iter().map(|limb| limb.radii[0]).fold(0.0, f64::max);
-        let sound = (centre - self.origin).norm() < 2.0 * widest
-            && limbs
-                .iter()
-                .all(|limb| limb.radii[1] > 0.5 * limb.radii[0] && limb.radii[1] < 1.6 * limb.radii[0]);
-        sound.then_some((centre, limbs))
+        Some(limbs)
     }
 
     fn moved(&self, limbs: &[Limb], step: &DVector<f64>) -> Vec<Limb> {
@@ -106,45 +127,49 @@ impl UnionFit<'_> {
         moved
     }
 
-    fn normal(&self, limbs: &[Limb]) -> Normal {
+    fn normal(&self, limbs: &[Limb], shares: &[Share]) -> Normal {
         let count = 3 + OWN * limbs.len();
         let mut normal =
             Normal { matrix: DMatrix::zeros(count, count), right: DVector::zeros(count), cost: 0.0 };
-        self.add_wall(limbs, &mut normal);
+        self.add_wall(limbs, shares, &mut normal);
         self.add_priors(limbs, &mut normal);
         normal
     }
 
-    /// The distances of the wall's vertices from the union.
-    fn add_wall(&self, limbs: &[Limb], normal: &mut Normal) {
+    /// Whose wall each vertex is, and how far that is to be trusted.
+    fn shares(&self, limbs: &[Limb]) -> Vec<Share> {
         let pieces: Vec<_> = limbs.iter().map(Limb::pieces).collect();
-        for vertex in self.wall {
+        let share = |vertex: &Point3<f64>| {
             let feet = limbs.iter().zip(&pieces).map(|(limb, pieces)| limb.foot(pieces, vertex));
-            let Some((number, foot, second)) = nearest_two(feet) else { return };
-            let in_ball = |ball: &Bulge| (vertex - ball.centre).norm() - ball.radius < foot.outside;
-            if self.balls.iter().any(in_ball) {
-                continue;
-            }
-            if self.starts[number].hidden {
-                continue;
-            }
-            let radius = limbs[number].radii[0];
-            let foreign = foot.outside / (FOREIGN * radius);
-            let share = 1.0 / (1.0 + foreign * foreign);
-            let basis = Limb::basis(foot.t);
-            let trust = ((second - foot.outside) / (CREASE * radius)).min(1.0)
-                * ((basis[2] + basis[3]) / LEVER).min(1.0).powi(4)
-                / (USUAL * radius).powi(2);
-            let weight = share * share * trust;
-            normal.cost += share * foot.outside * foot.outside * trust;
-            let at = 3 + OWN * number;
+            let (limb, foot, second) = nearest_two(feet)?;
+            let radius = limbs[limb].radii[0];
+            // Where two walls meet, sacs' too, the nearer is not surely the vertex's own.
+            let balls = self.balls.iter().map(|ball| (vertex - ball.centre).norm() - ball.radius);
+            let second = balls.fold(second, f64::min);
+            let apart = ((second - foot.outside) / (CREASE * radius)).clamp(0.0, 1.0);
+            let lever = ((foot.basis[2] + foot.basis[3]) / LEVER).min(1.0).powi(4);
+            let trust = apart * lever / (USUAL * radius).powi(2);
+            (!self.starts[limb].hidden && trust > 0.0).then_some(Share { vertex: *vertex, limb, trust })
+        };
+        self.wall.iter().filter_map(share).collect()
+    }
+
+    /// The distances of the wall's vertices from their limbs.
+    fn add_wall(&self, limbs: &[Limb], shares: &[Share], normal: &mut Normal) {
+        let pieces: Vec<_> = limbs.iter().map(Limb::pieces).collect();
+        for &Share { vertex, limb, trust } in shares {
+            let foot = limbs[limb].foot(&pieces[limb], &vertex);
+            let foreign = foot.outside / (FOREIGN * limbs[limb].radii[0]);
+            let usual = 1.0 / (1.0 + foreign * foreign);
+            normal.cost += usual * foot.outside * foot.outside * trust;
+            let at = 3 + OWN * limb;
             let mut row = [(0, 0.0); 7];
             for axis in 0..3 {
-                row[axis] = (axis, -basis[3] * foot.direction[axis]);
-                row[3 + axis] = (at + axis, -basis[2] * foot.direction[axis]);
+                row[axis] = (axis, -foot.basis[3] * foot.direction[axis]);
+                row[3 + axis] = (at + axis, -foot.basis[2] * foot.direction[axis]);
             }
             row[6] = (at + 3, -foot.t);
-            normal.add(&row, foot.outside, weight);
+            normal.add(&row, foot.outside, usual * usual * trust);
         }
     }
 
@@ -168,18 +193,22 @@ impl UnionFit<'_> {
             let (at, radius) = (3 + OWN * number, limb.radii[0]);
             let grown = limb.radii[1] - start.limb.radii[1];
             normal.add_square(&[(at + 3, 1.0)], grown, 1.0 / (RADIUS * radius).powi(2));
-            let length = limb.length();
+            // What no wall holds has no part in the fit: it pulls at nothing.
+            if start.hidden {
+                let still = limb.control[2] - start.limb.control[2];
+                normal.add_block(at, 1.0, 0.0, &(Matrix3::identity() / (radius * radius)), &still);
+                continue;
+            }
+            let length = start.limb.length();
             let (expected, along) = start.line.at(PLACE * length);
             let off = limb.at(PLACE) - expected;
             let across =
                 (Matrix3::identity() - along * along.transpose() * 0.9) / (start.doubt * start.doubt);
             let basis = Limb::basis(PLACE);
-            // What no wall holds does not pull at the centre: the lines do that.
-            let shared = if start.hidden { 0.0 } else { 1.0 };
-            normal.add_block(at, basis[2], shared * basis[3], &across, &off);
+            normal.add_block(at, basis[2], basis[3], &across, &off);
             let bend = limb.control[1] - limb.control[2] * 2.0 + limb.control[3].coords;
             let scale = 6.0 * radius / (length * length * BEND);
-            normal.add_block(at, -2.0, shared, &(Matrix3::identity() * (scale * scale)), &bend);
+            normal.add_block(at, -2.0, 1.0, &(Matrix3::identity() * (scale * scale)), &bend);
         }
     }
 }
