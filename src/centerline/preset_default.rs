@@ -20,8 +20,9 @@ use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, observe, 
 use crate::centerline::recentering::approach::{Approach, run_up};
 use crate::centerline::recentering::displaced::settle_displaced;
 use crate::centerline::recentering::ends::{EndPoint, end_point, far_wall, follow_rings};
-use crate::centerline::recentering::joint_fit::{FittedJoint, fit_joint};
+use crate::centerline::recentering::joint_fit::{FittedJoint, FittedLimb, fit_joint};
 use crate::centerline::recentering::joints::{joint_centre, run_to_centre};
+use crate::centerline::recentering::sweep::recenter_branches;
 use crate::centerline::segmentation::level_sets::LevelSet;
 use crate::centerline::segmentation::track::{SPACING, Sight, Station, Track, rings, stations_of};
 use crate::centerline::tips::picks::Picks;
@@ -68,6 +69,7 @@ pub fn extract_component(
     control.report(Stage::Recentering, 0.0)?;
     reach_ends(grid, &mut network, control)?;
     meet_in_joints(grid, &owners, &mut network, control)?;
+    recenter_branches(surface, &mut network, control)?;
     fit_joints(grid, &mut network, control)?;
     control.report(Stage::Connection, 0.0)?;
     let mut result = network.connect();
@@ -331,6 +333,11 @@ fn fit_joints(
 fn place(grid: &TriangleGrid<'_>, network: &mut Network, node: usize, joint: &FittedJoint) {
     let Some(anchor) = &mut network.nodes[node].anchor else { return };
     let moved = joint.centre - std::mem::replace(&mut anchor.point, joint.centre);
+    let firm = |way: &&FittedLimb| !way.hidden;
+    let widest = joint.limbs.iter().filter(firm).map(|way| way.limb.radii[1]).fold(0.0, f64::max);
+    if widest > 0.0 {
+        anchor.radius = widest;
+    }
     aim_bulges(grid, network, &network.incident(node), &joint.centre);
     for way in &joint.limbs {
         network.oriented(way.track, way.at_end, |track| {

@@ -281,7 +281,8 @@ fn flat_tube() -> Extraction {
 fn a_flat_tube_is_its_axis() {
     let found = flat_tube();
     assert_eq!(graph(&found), TUBE);
-    assert!(off(&found, from_z(30.0)) < 1e-6);
+    let off = off(&found, from_z(30.0));
+    assert!(off < 1e-6, "{off}");
 }
 
 #[test]
@@ -323,6 +324,39 @@ fn the_line_of_a_wide_trunk_reaches_the_middle_of_its_round_ends() {
     let found = line_of(&mesh);
     let off = off(&found, axis);
     assert!(off < 0.05 * 12.0, "{off}");
+}
+
+/// A straight tube of few vertices, each moved in or out by `off` of a number that looks random in 0 to 1.
+fn rough_tube(off: impl Fn(f64) -> f64) -> Extraction {
+    let mut mesh = tube(30.0, 75, 9, Ends::Flat);
+    let wall = mesh.vertices.len() - 2;
+    for (number, vertex) in mesh.vertices[..wall].iter_mut().enumerate() {
+        let number = (43_758.545 * (12.99 * number as f64).sin()).rem_euclid(1.0);
+        let factor = 1.0 + off(number);
+        (vertex.x, vertex.y) = (vertex.x * factor, vertex.y * factor);
+    }
+    line_of(&mesh)
+}
+
+/// Mean distance from the axis and mean relative error of the radius, between 3 radii from the ends.
+fn means(found: &Extraction) -> (f64, f64) {
+    let inner: Vec<_> = points(&found.centerline).filter(|(p, _)| (3.0..27.0).contains(&p.z)).collect();
+    let mean = |of: &dyn Fn(&Point3<f64>, f64) -> f64| {
+        inner.iter().map(|(point, radius)| of(point, *radius)).sum::<f64>() / inner.len() as f64
+    };
+    (mean(&|point, _| point.x.hypot(point.y)), mean(&|_, radius| radius - 1.0))
+}
+
+#[test]
+fn the_noise_of_a_rough_wall_averages_out_along_the_branch() {
+    let (off, error) = means(&rough_tube(|number| 0.4 * (number - 0.5)));
+    assert!(off < 0.05 && error.abs() < 0.01, "{off} {error}");
+}
+
+#[test]
+fn a_wall_of_which_a_third_lies_inside_is_where_most_of_it_lies() {
+    let (off, error) = means(&rough_tube(|number| if number < 0.33 { -0.15 * number / 0.33 } else { 0.0 }));
+    assert!(off < 0.02 && error.abs() < 0.01, "{off} {error}");
 }
 
 #[test]

@@ -16,6 +16,8 @@ const TERMS: usize = 8;
 const HOLD: [f64; TERMS] = [0.0, 0.01, 0.01, 0.2, 0.2, 0.02, 1.0, 1.0];
 /// Triangles that lean more than this (sine) are a cap's.
 const CAP: f64 = 0.75;
+/// A wall that is farther from a circle than this (share of its radius) is no noisy circle.
+pub const FLAT: f64 = 0.15;
 /// Share of the radius that facets may cut away unnoticed.
 const FACETS: f64 = 0.02;
 /// Fewer vertices say nothing.
@@ -49,8 +51,6 @@ impl WallShape {
     /// Radius of the largest sphere about the station: the short half axis, seen square to the
     /// sloping wall.
     pub fn inscribed(&self) -> f64 {
-        /// A wall that is farther from a circle than this (share of its radius) is no noisy circle.
-        const FLAT: f64 = 0.15;
         let square = self.ellipse[0].powi(2) + self.ellipse[1].powi(2);
         let flatness = (square - self.haze).max(0.0).sqrt();
         let short = if flatness < FLAT * self.mean { self.mean - flatness } else { self.nearest };

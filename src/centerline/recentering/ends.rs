@@ -102,7 +102,7 @@ pub fn far_wall(grid: &TriangleGrid<'_>, bulge: &Bulge, joint: &Point3<f64>) -> 
 
 /// Radius continued by `distance` from the slope over the last two radii of length, never below a
 /// twentieth of the last.
-fn continued_radius(track: &Track, distance: f64) -> f64 {
+pub fn continued_radius(track: &Track, distance: f64) -> f64 {
     let Some(last) = track.stations.last() else { return 0.0 };
     let far = |s: &&Station| (s.point - last.point).norm() > 2.0 * last.section_radius;
     let before = track.stations.iter().rev().find(far);

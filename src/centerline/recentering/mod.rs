@@ -7,6 +7,9 @@ pub mod joint_collapse;
 pub mod joint_fit;
 pub mod joints;
 pub mod limb;
+pub mod sweep;
+pub mod swept_tube;
+pub mod swept_wall;
 pub mod union_fit;
 
 use nalgebra::Point3;
