@@ -101,11 +101,12 @@ fn seeds() {
 }
 
 fn tetrahedron() -> TriangleMesh {
-    let mut mesh = TriangleMesh::default();
-    mesh.vertices =
-        [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(Into::into).to_vec();
-    mesh.triangles = vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
-    mesh
+    TriangleMesh {
+        vertices: [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+            .map(Into::into)
+            .to_vec(),
+        triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+    }
 }
 
 fn keep(target: &str, name: &str, bytes: &[u8]) {

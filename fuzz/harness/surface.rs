@@ -21,11 +21,11 @@ impl Case {
         let count = usize::from(u16::from_le_bytes(*count)).min(rest.len() / 6);
         let (vertices, triangles) = rest.split_at(6 * count);
         let scale = SCALES[usize::from(choice & 3)];
-        let mut mesh = TriangleMesh::default();
-        mesh.vertices =
+        let vertices =
             triples(vertices).map(|xyz| Point3::from(xyz.map(|x| f64::from(x as i16) * scale))).collect();
         let index = |index: u16| u32::from(index) % count.max(1) as u32;
-        mesh.triangles = triples(triangles).map(|abc| abc.map(index)).collect();
+        let triangles = triples(triangles).map(|abc| abc.map(index)).collect();
+        let mesh = TriangleMesh { vertices, triangles };
         let mut parameters = Parameters::of(if choice & 4 == 0 { Preset::Default } else { Preset::Paper });
         if choice & 8 != 0 {
             parameters.set("smoothing", "true").unwrap();
