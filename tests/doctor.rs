@@ -1,5 +1,5 @@
 //! `rosaline doctor`: what is wrong is found, and a running service is left alone.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 #[allow(dead_code)] // Each test file uses its own part.
 #[path = "common/meshes.rs"]

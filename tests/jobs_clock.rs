@@ -1,5 +1,5 @@
 //! The clock jumps, by a day and by a year, ahead and back, while jobs wait, run and are kept.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 #[allow(dead_code)] // Each test file uses its own part.
 mod jobs_fakes;

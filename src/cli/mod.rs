@@ -43,7 +43,7 @@ enum Command {
     /// Say who is told of the ends of jobs.
     Webhooks(webhooks::Args),
     /// Look whether the service would work with these settings: exit code 0 when nothing is wrong.
-    Doctor(serve::Args),
+    Doctor(Box<serve::Args>),
     /// Ask a running service whether it is ready: exit code 0 when it is.
     Health(health::Args),
     /// Work off one job, of which stdin tells: the service starts this.
@@ -107,7 +107,7 @@ fn run(cli: Cli) -> Result<(), Failure> {
         Command::Phantom(args) => phantom::run(args),
         Command::Keys(args) => keys::run(args),
         Command::Webhooks(args) => webhooks::run(args),
-        Command::Doctor(args) => doctor::run(args),
+        Command::Doctor(args) => doctor::run(*args),
         Command::Health(args) => health::run(args),
         Command::Work(args) => work::run(args),
         Command::Openapi(args) => openapi::run(args),
