@@ -46,8 +46,9 @@ pub fn level_set(
     level: f64,
 ) -> LevelSet {
     let (start, rank, level) = start_of(corners, graph, arc, level);
-    let mut points = Vec::new();
-    let mut triangles = Vec::new();
+    let expected = graph.arcs[arc].base_edges as usize;
+    let mut points = Vec::with_capacity(expected);
+    let mut triangles = Vec::with_capacity(expected);
     for h in LevelWalk::new(corners, &graph.rank, rank, start) {
         points.push(crossing(vertices, corners, &graph.function, h, level));
         triangles.push(h / 3);

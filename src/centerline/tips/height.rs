@@ -55,7 +55,7 @@ impl Pruning<'_> {
         // Where the base is as wide as the vessel beside it, a front has climbed there while it passed.
         let climbed = radius >= beside || height >= least;
         let over = || self.over_vessel(arcs, base, leaf, radius);
-        self.reach(arcs, leaf) >= least
+        self.reaches(arcs, leaf, least)
             || climbed
                 && over().is_some_and(|(over, radius)| over >= (tip_height * radius).max(SAMPLES * sample))
     }
@@ -179,12 +179,13 @@ impl Pruning<'_> {
         self.surface.mesh.vertices[self.graph.nodes[node as usize].vertex as usize]
     }
 
-    /// Greatest distance of the tip or a level set's centre from the centre of the base.
-    fn reach(&self, arcs: &[u32], tip: u32) -> f64 {
+    /// Whether the tip or a level set's centre lies as far as `least` from the centre of the base.
+    fn reaches(&self, arcs: &[u32], tip: u32, least: f64) -> bool {
         let mut rings = arcs.iter().rev().flat_map(|&arc| self.rings(arc));
-        let Some(base) = rings.next() else { return 0.0 };
-        let centres = rings.map(|ring| ring.centroid).chain([self.position(tip)]);
-        centres.map(|centre| (centre - base.centroid).norm()).fold(0.0, f64::max)
+        let Some(base) = rings.next() else { return false };
+        // The tip, which most often does, costs nothing.
+        let mut centres = std::iter::once(self.position(tip)).chain(rings.map(|ring| ring.centroid));
+        centres.any(|centre| (centre - base.centroid).norm() >= least)
     }
 }
 

@@ -21,7 +21,6 @@ use nalgebra::Point3;
 
 use crate::mesh::preparation::Surface;
 
-use crate::centerline::segmentation::level_sets::LevelSet;
 use crate::centerline::tips::picks::Pick;
 use crate::centerline::tips::reeb::ReebGraph;
 use crate::centerline::{CancelToken, ExtractError, Warning};
@@ -236,15 +235,16 @@ impl Pruning<'_> {
         if self.degree(base) < 3 {
             return;
         }
-        let root = self.position(ROOT);
         if self.opening_at(ROOT).is_some() {
             return;
         }
-        let rings: Vec<LevelSet> = arcs.iter().flat_map(|&arc| self.rings(arc)).collect();
-        let Some(top) = rings.last() else { return };
-        let centres = rings.iter().map(|ring| ring.centroid).chain([root]);
-        let reach = centres.map(|centre| (centre - top.centroid).norm()).fold(0.0, f64::max);
-        if reach < tip_height * top.radius() {
+        let Some(top) = arcs.last().and_then(|&arc| self.rings(arc).last()) else { return };
+        let rings = arcs.iter().flat_map(|&arc| self.rings(arc));
+        let mut centres = std::iter::once(self.position(ROOT)).chain(rings.map(|ring| ring.centroid));
+        let least = tip_height * top.radius();
+        let low = centres.all(|centre| (centre - top.centroid).norm() < least);
+        drop(centres);
+        if low {
             arcs.iter().for_each(|&arc| self.alive[arc as usize] = false);
         }
     }
