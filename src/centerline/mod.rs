@@ -248,6 +248,18 @@ fn repair_warnings(report: &PreparationReport) -> Vec<Warning> {
             "vertices where the surface touches itself were doubled",
             "vertex",
         ),
+        (
+            "holes-closed",
+            report.holes,
+            "holes in the wall were closed; no vessel was cut there",
+            "beside vertex",
+        ),
+        (
+            "internal-cavities",
+            report.cavities,
+            "closed surfaces inside another were left out: no vessels of their own",
+            "with vertex",
+        ),
     ];
     let warn = |(code, sites, text, site): (&'static str, Sites, &str, &str)| Warning {
         code,

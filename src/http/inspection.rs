@@ -112,6 +112,8 @@ fn repaired(report: &PreparationReport) -> Vec<Defect> {
             "an edge has no consistent orientation; the surface is cut there",
         ),
         found("split-vertices", report.split_vertices, "vertex", "the surface touches itself there; doubled"),
+        found("holes-closed", report.holes, "vertex", "a hole in the wall, where no vessel was cut; closed"),
+        found("internal-cavities", report.cavities, "vertex", "a closed surface inside another; left out"),
     ];
     defects.push(Defect {
         code: "inverted-components",

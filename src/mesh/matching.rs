@@ -67,8 +67,8 @@ fn half_edge(member: u64) -> u32 {
 
 /// Orients the triangles consistently (in place) and pairs their half-edges.
 ///
-/// Returns for each half-edge its opposite or [`NONE`]. Edges with more than two triangles are
-/// paired by angle around the edge, so that touching surfaces come apart. O(n log n) in the valence.
+/// Returns for each half-edge its opposite or [`NONE`]. At edges with more than two triangles those of one surface are
+/// paired, and others by angle around the edge, so that touching surfaces come apart. O(n log n) in the valence.
 pub fn match_half_edges(mesh: &mut TriangleMesh) -> (Vec<u32>, MatchReport) {
     let mut report = MatchReport::default();
     let groups = EdgeGroups::of(mesh);
@@ -76,6 +76,7 @@ pub fn match_half_edges(mesh: &mut TriangleMesh) -> (Vec<u32>, MatchReport) {
     // Turning triangles renames their half-edges; group anew when any was turned.
     let groups = if report.flipped.count > 0 { EdgeGroups::of(mesh) } else { groups };
     let mut opposite = vec![NONE; 3 * mesh.triangles.len()];
+    let mut patches = None;
     let mut pair = |a: u32, b: u32| {
         opposite[a as usize] = b;
         opposite[b as usize] = a;
@@ -94,9 +95,9 @@ pub fn match_half_edges(mesh: &mut TriangleMesh) -> (Vec<u32>, MatchReport) {
             _ => {
                 let group: Vec<u32> = group.iter().copied().map(half_edge).collect();
                 report.non_manifold_edges.add(group[0] / 3);
-                for (a, b) in pair_by_angle(mesh, &group) {
-                    pair(a, b);
-                }
+                let patches = patches.get_or_insert_with(|| patches_of(mesh, &groups));
+                let (own, rest) = pair_by_patch(mesh, &group, patches);
+                own.into_iter().chain(pair_by_angle(mesh, &rest)).for_each(|(a, b)| pair(a, b));
             }
         }
     }
@@ -160,10 +161,49 @@ fn orient(mesh: &mut TriangleMesh, groups: &EdgeGroups) -> Sites {
     flips.into_iter().collect()
 }
 
+/// The patch of each triangle: what hangs together over edges with exactly two triangles.
+fn patches_of(mesh: &TriangleMesh, groups: &EdgeGroups) -> Vec<u32> {
+    let mut patch: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
+    // The root of a triangle's tree, which is halved on the way.
+    let root = |patch: &mut [u32], mut t: u32| {
+        while patch[t as usize] != t {
+            let above = patch[patch[t as usize] as usize];
+            patch[t as usize] = above;
+            t = above;
+        }
+        t
+    };
+    for group in groups.iter() {
+        if let [a, b] = *group {
+            let (a, b) = (root(&mut patch, half_edge(a) / 3), root(&mut patch, half_edge(b) / 3));
+            patch[a.max(b) as usize] = a.min(b);
+        }
+    }
+    (0..patch.len() as u32).map(|t| root(&mut patch, t)).collect()
+}
+
+/// Pairs the two half-edges of a patch that runs through an edge on which others stand, a sheet or another solid;
+/// returns the pairs, and the half-edges that are left.
+fn pair_by_patch(mesh: &TriangleMesh, group: &[u32], patches: &[u32]) -> (Vec<(u32, u32)>, Vec<u32>) {
+    let patch = |h: u32| patches[(h / 3) as usize];
+    let mut sorted = group.to_vec();
+    sorted.sort_unstable_by_key(|&h| (patch(h), h));
+    let mut pairs = Vec::new();
+    let mut rest = Vec::new();
+    for own in sorted.chunk_by(|&a, &b| patch(a) == patch(b)) {
+        match *own {
+            [a, b] if origin(mesh, a) != origin(mesh, b) => pairs.push((a, b)),
+            _ => rest.extend_from_slice(own),
+        }
+    }
+    rest.sort_unstable();
+    (pairs, rest)
+}
+
 /// Pairs the triangles around an edge so that each pair bounds one wedge of the inside.
 fn pair_by_angle(mesh: &TriangleMesh, group: &[u32]) -> Vec<(u32, u32)> {
+    let Some(&first) = group.first() else { return Vec::new() };
     let low = group.iter().map(|&h| origin(mesh, h)).min().unwrap_or(0);
-    let first = group[0];
     let triangle = mesh.triangles[(first / 3) as usize];
     let (a, b) = (triangle[(first % 3) as usize], triangle[(next(first) % 3) as usize]);
     let (from, to) = if a == low { (a, b) } else { (b, a) };

@@ -6,13 +6,19 @@ use super::TriangleMesh;
 
 /// Diagonal of the bounding box of the vertices in use.
 pub fn diagonal(mesh: &TriangleMesh) -> f64 {
+    let [low, high] = bounds(mesh);
+    if mesh.triangles.is_empty() { 0.0 } else { (high - low).norm() }
+}
+
+/// Least and greatest coordinates of the vertices in use.
+pub fn bounds(mesh: &TriangleMesh) -> [Vector3<f64>; 2] {
     let mut low = Vector3::repeat(f64::INFINITY);
     let mut high = Vector3::repeat(f64::NEG_INFINITY);
     for &v in mesh.triangles.iter().flatten() {
         low = low.inf(&mesh.vertices[v as usize].coords);
         high = high.sup(&mesh.vertices[v as usize].coords);
     }
-    if mesh.triangles.is_empty() { 0.0 } else { (high - low).norm() }
+    [low, high]
 }
 
 /// Volume by the divergence theorem, about the first vertex so that frames far off lose no digits.

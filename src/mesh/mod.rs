@@ -1,5 +1,7 @@
 //! Triangle surfaces: the type, its file formats, and what the method needs to know of them.
 
+mod cavities;
+mod components;
 pub mod corner_table;
 pub mod format;
 mod matching;

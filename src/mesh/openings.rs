@@ -1,9 +1,10 @@
-//! Openings: where the vessel was cut. Each is closed by a cap.
+//! Openings: where the vessel was cut. Each is closed by a cap. A hole in the wall is closed too, and is none.
 
 use nalgebra::{Point3, Vector3};
 
 use super::TriangleMesh;
-use super::corner_table::{NONE, next};
+use super::corner_table::{NONE, next, previous};
+use super::sites::Sites;
 
 /// An opening of the surface, closed by a fan of triangles around its centre.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,9 +23,11 @@ pub(super) struct CappedOpening {
     pub triangle: u32,
 }
 
-/// Closes every boundary loop by a fan around the centre of its rim.
-pub(super) fn cap(mesh: &mut TriangleMesh, opposite: &mut Vec<u32>) -> Vec<CappedOpening> {
+/// Closes every boundary loop by a fan around the centre of its rim; returns the openings, and a vertex of each hole
+/// that is none. O(boundary edges).
+pub(super) fn cap(mesh: &mut TriangleMesh, opposite: &mut Vec<u32>) -> (Vec<CappedOpening>, Sites) {
     let mut openings = Vec::new();
+    let mut holes = Sites::default();
     let half_edges = opposite.len() as u32;
     for start in 0..half_edges {
         if opposite[start as usize] != NONE {
@@ -38,6 +41,7 @@ pub(super) fn cap(mesh: &mut TriangleMesh, opposite: &mut Vec<u32>) -> Vec<Cappe
         }
         let origin = |h: u32| mesh.triangles[(h / 3) as usize][(h % 3) as usize];
         let rim: Vec<u32> = rim_edges.iter().map(|&h| origin(h)).collect();
+        let is_hole = is_hole(mesh, opposite, &rim_edges);
         let (centre_point, length) = rim_centre(mesh, &rim);
         let centre = mesh.vertices.len() as u32;
         mesh.vertices.push(centre_point);
@@ -53,10 +57,38 @@ pub(super) fn cap(mesh: &mut TriangleMesh, opposite: &mut Vec<u32>) -> Vec<Cappe
             opposite[h as usize] = own;
             opposite.extend([h, before + 2, after + 1]);
         }
+        if is_hole {
+            holes.add(rim[0]);
+            continue;
+        }
         let opening = Opening { centre, rim, radius: length / std::f64::consts::TAU };
         openings.push(CappedOpening { opening, triangle: first_cap / 3 });
     }
-    openings
+    (openings, holes)
+}
+
+/// Whether a rim is that of a hole torn in the wall: there the wall around it faces where the hole does, around the
+/// opening of a vessel it faces aside. O(triangles that touch the rim).
+fn is_hole(mesh: &TriangleMesh, opposite: &[u32], rim_edges: &[u32]) -> bool {
+    /// Mean cosine of the angle between both from which a hole is one. Around a vessel that widens or narrows toward
+    /// its cut by less than 30 degrees it is lower.
+    const FACING: f64 = 0.5;
+    let at = |h: u32| mesh.vertices[mesh.triangles[(h / 3) as usize][(h % 3) as usize] as usize];
+    let first = at(rim_edges[0]);
+    // The rim runs with the wall on its left, a cap against it.
+    let hole: Vector3<f64> = rim_edges.iter().map(|&h| (at(next(h)) - first).cross(&(at(h) - first))).sum();
+    let (mut facing, mut all) = (0.0, 0.0);
+    for &edge in rim_edges {
+        // The triangles around the edge's first vertex, up to the rim's edge before.
+        let mut spoke = edge;
+        while spoke != NONE {
+            let area = (at(next(spoke)) - at(spoke)).cross(&(at(previous(spoke)) - at(spoke)));
+            facing += area.dot(&hole);
+            all += area.norm() * hole.norm();
+            spoke = opposite[previous(spoke) as usize];
+        }
+    }
+    facing > FACING * all
 }
 
 /// The boundary half-edges of one opening, each starting where the one before ends.

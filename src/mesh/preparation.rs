@@ -6,11 +6,11 @@
 use rayon::prelude::*;
 
 use super::TriangleMesh;
+use super::components::{leave_cavities_out, split_components};
 use super::corner_table::{CornerTable, NONE, next, previous};
 use super::matching::{MatchReport, match_half_edges};
 use super::measures::{area, diagonal, signed_volume, total_area};
-use super::numbering::walk;
-use super::openings::{CappedOpening, cap};
+use super::openings::cap;
 use super::snapping::snap;
 
 pub use super::openings::Opening;
@@ -84,14 +84,19 @@ pub struct PreparationReport {
     pub duplicates: Sites,
     /// Vertices doubled.
     pub split_vertices: Sites,
+    /// Holes in the wall that were closed, each by a vertex of its rim.
+    pub holes: Sites,
+    /// Closed surfaces inside another that were left out, each by a vertex.
+    pub cavities: Sites,
     pub inverted_components: usize,
     pub matching: MatchReport,
 }
 
 /// Makes closed manifold surfaces of a welded triangle list.
 ///
-/// A mesh that rounding took apart is joined, degenerate and duplicate triangles go, orientation is made consistent and outward, edges and
-/// vertices where surfaces touch come apart, openings are capped. O(n log n).
+/// A mesh that rounding took apart is joined, degenerate and duplicate triangles go, orientation is made consistent and
+/// outward, edges and vertices where surfaces touch come apart, openings are capped, holes in the wall closed, surfaces
+/// inside another left out. O(n log n).
 pub fn prepare(mesh: &TriangleMesh) -> Result<Prepared, PreparationError> {
     prepare_while(mesh, || Ok(()))
 }
@@ -132,11 +137,15 @@ pub fn prepare_while<E: From<PreparationError>>(
         conflicting_edges: matching.conflicting_edges.renamed(&kept),
     };
     go_on()?;
-    report.split_vertices = split_fans(&mut soup, &opposite);
+    let names;
+    (report.split_vertices, names) = split_fans(&mut soup, &opposite);
     go_on()?;
-    let openings = cap(&mut soup, &mut opposite);
+    let (openings, holes) = cap(&mut soup, &mut opposite);
+    report.holes = holes.renamed(&names);
     go_on()?;
-    let components = split_components(soup, opposite, openings, &mut report, go_on)?;
+    let parts = split_components(soup, opposite, openings, &go_on)?;
+    go_on()?;
+    let components = leave_cavities_out(parts, &names, &mut report);
     Ok(Prepared { components, report })
 }
 
@@ -178,8 +187,10 @@ fn distinct(triangles: &[[u32; 3]], report: &mut PreparationReport) -> Vec<u32> 
     (0..triangles.len() as u32).filter(|&t| kept[t as usize]).collect()
 }
 
-/// Gives each fan of triangles around a vertex a vertex of its own; returns the vertices that were doubled.
-fn split_fans(mesh: &mut TriangleMesh, opposite: &[u32]) -> Sites {
+/// Gives each fan of triangles around a vertex a vertex of its own; returns the vertices that were doubled, and each
+/// vertex's number before.
+fn split_fans(mesh: &mut TriangleMesh, opposite: &[u32]) -> (Sites, Vec<u32>) {
+    let mut names: Vec<u32> = (0..mesh.vertices.len() as u32).collect();
     let mut owner = vec![NONE; mesh.vertices.len()];
     let mut seen = vec![false; 3 * mesh.triangles.len()];
     let mut doubled = Sites::default();
@@ -192,6 +203,7 @@ fn split_fans(mesh: &mut TriangleMesh, opposite: &[u32]) -> Sites {
         if owner[v as usize] != NONE {
             name = mesh.vertices.len() as u32;
             mesh.vertices.push(mesh.vertices[v as usize]);
+            names.push(v);
             doubled.add(v);
         } else {
             owner[v as usize] = start;
@@ -202,7 +214,7 @@ fn split_fans(mesh: &mut TriangleMesh, opposite: &[u32]) -> Sites {
             triangles[(h / 3) as usize][(h % 3) as usize] = name;
         });
     }
-    doubled
+    (doubled, names)
 }
 
 /// Calls `visit` with each half-edge that starts at the same corner of one fan as `start`.
@@ -221,92 +233,6 @@ fn for_each_in_fan(opposite: &[u32], start: u32, mut visit: impl FnMut(u32)) {
             h = opposite[h as usize];
         }
     }
-}
-
-/// Cuts the closed soup into its connected components, each oriented outward.
-fn split_components<E>(
-    soup: TriangleMesh,
-    opposite: Vec<u32>,
-    openings: Vec<CappedOpening>,
-    report: &mut PreparationReport,
-    go_on: impl Fn() -> Result<(), E>,
-) -> Result<Vec<Surface>, E> {
-    let (component, members) = component_triangles(&opposite, soup.triangles.len());
-    let mut vertex_name = vec![NONE; soup.vertices.len()];
-    let mut triangle_name = vec![NONE; soup.triangles.len()];
-    let mut surfaces = Vec::with_capacity(members.len());
-    for triangles in &members {
-        go_on()?;
-        let vertices = walk(&soup, &opposite, triangles, &mut vertex_name);
-        go_on()?;
-        let mut mesh = TriangleMesh { vertices, triangles: Vec::with_capacity(triangles.len()) };
-        for (i, &t) in triangles.iter().enumerate() {
-            triangle_name[t as usize] = i as u32;
-            mesh.triangles.push(soup.triangles[t as usize].map(|v| vertex_name[v as usize]));
-        }
-        let mut local: Vec<u32> = Vec::with_capacity(3 * triangles.len());
-        for h in triangles.iter().flat_map(|&t| 3 * t..3 * t + 3) {
-            let o = opposite[h as usize];
-            local.push(3 * triangle_name[(o / 3) as usize] + o % 3);
-        }
-        go_on()?;
-        if signed_volume(&mesh) < 0.0 {
-            report.inverted_components += 1;
-            local = invert(&mut mesh, &local);
-        }
-        let corners = CornerTable::new(&mesh.triangles, local, mesh.vertices.len());
-        surfaces.push(Surface { mesh, corners, openings: Vec::new() });
-    }
-    go_on()?;
-    for CappedOpening { mut opening, triangle } in openings {
-        opening.centre = vertex_name[opening.centre as usize];
-        opening.rim.iter_mut().for_each(|v| *v = vertex_name[*v as usize]);
-        surfaces[component[triangle as usize] as usize].openings.push(opening);
-    }
-    Ok(surfaces)
-}
-
-/// Each triangle's component, and each component's triangles in ascending order.
-fn component_triangles(opposite: &[u32], count: usize) -> (Vec<u32>, Vec<Vec<u32>>) {
-    let mut component = vec![NONE; count];
-    let mut found = 0;
-    let mut queue = Vec::new();
-    for seed in 0..count {
-        if component[seed] != NONE {
-            continue;
-        }
-        component[seed] = found;
-        queue.push(seed as u32);
-        while let Some(t) = queue.pop() {
-            for h in 3 * t..3 * t + 3 {
-                let other = (opposite[h as usize] / 3) as usize;
-                if component[other] == NONE {
-                    component[other] = found;
-                    queue.push(other as u32);
-                }
-            }
-        }
-        found += 1;
-    }
-    let mut sizes = vec![0; found as usize];
-    component.iter().for_each(|&c| sizes[c as usize] += 1);
-    let mut members: Vec<Vec<u32>> = sizes.into_iter().map(Vec::with_capacity).collect();
-    for (t, &c) in component.iter().enumerate() {
-        members[c as usize].push(t as u32);
-    }
-    (component, members)
-}
-
-/// Turns every triangle over; returns the opposites in the new half-edge numbers.
-fn invert(mesh: &mut TriangleMesh, opposite: &[u32]) -> Vec<u32> {
-    // [a, b, c] becomes [a, c, b]: half-edges 0, 1, 2 come to lie at 2, 1, 0.
-    let renamed = |h: u32| 3 * (h / 3) + (2 - h % 3);
-    let mut turned = vec![NONE; opposite.len()];
-    for (h, &o) in opposite.iter().enumerate() {
-        turned[renamed(h as u32) as usize] = renamed(o);
-    }
-    mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2));
-    turned
 }
 
 #[cfg(test)]
