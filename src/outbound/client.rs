@@ -21,32 +21,41 @@ pub enum OutboundError {
     TooLarge(usize),
 }
 
-/// A client that follows no redirect and gives up in time. TLS trusts the system's CA certificates, or those of
-/// `SSL_CERT_FILE`; a proxy is the one of `HTTPS_PROXY` and its like.
+/// A client for one URL that follows no redirect and gives up in time. TLS trusts the system's CA certificates, or those
+/// of `SSL_CERT_FILE`; a proxy is the one of `HTTPS_PROXY` and its like.
 #[derive(Debug, Clone)]
-pub struct Client(reqwest::Client);
+pub struct Client {
+    url: Url,
+    http: reqwest::Client,
+}
 
 impl Client {
     /// `limit` bounds a request from its connection to the end of its answer.
     ///
     /// # Errors
-    /// [`OutboundError::Client`] where TLS cannot be set up.
-    pub fn new(limit: Duration) -> Result<Self, OutboundError> {
-        let client = reqwest::Client::builder()
+    /// [`OutboundError::Client`] where TLS is needed and cannot be set up.
+    pub fn new(url: Url, limit: Duration) -> Result<Self, OutboundError> {
+        let mut builder = reqwest::Client::builder();
+        if url.0.scheme() == "http" {
+            // Then a system without CA certificates will do.
+            builder = builder.tls_certs_only([]);
+        }
+        let client = builder
             .timeout(limit)
             .redirect(redirect::Policy::none())
             .referer(false)
             .user_agent(concat!("rosaline/", env!("CARGO_PKG_VERSION")))
             .build();
-        client.map(Self).map_err(|error| OutboundError::Client(causes(error)))
+        let http = client.map_err(|error| OutboundError::Client(causes(error)))?;
+        Ok(Self { url, http })
     }
 
     /// The body of a 200, of at most `most` bytes.
     ///
     /// # Errors
     /// [`OutboundError`] also for every other status.
-    pub async fn get(&self, url: &Url, most: usize) -> Result<Bytes, OutboundError> {
-        let mut answer = self.0.get(url.0.clone()).send().await.map_err(unreachable)?;
+    pub async fn get(&self, most: usize) -> Result<Bytes, OutboundError> {
+        let mut answer = self.http.get(self.url.0.clone()).send().await.map_err(unreachable)?;
         if answer.status() != reqwest::StatusCode::OK {
             return Err(OutboundError::Status(answer.status().as_u16()));
         }
@@ -60,17 +69,16 @@ impl Client {
         Ok(body.freeze())
     }
 
-    /// What `url` answers to this body; the answer's own body is not read.
+    /// What is answered to this body; the answer's own body is not read.
     ///
     /// # Errors
     /// [`OutboundError::Unreachable`] where no answer begins in time.
     pub async fn post(
         &self,
-        url: &Url,
         headers: &[(&'static str, String)],
         body: String,
     ) -> Result<Answer, OutboundError> {
-        let request = self.0.post(url.0.clone()).body(body);
+        let request = self.http.post(self.url.0.clone()).body(body);
         let request = headers.iter().fold(request, |request, (name, value)| request.header(*name, value));
         let answer = request.send().await.map_err(unreachable)?;
         let retry_after = answer.headers().get(reqwest::header::RETRY_AFTER);

@@ -121,20 +121,12 @@ impl Crew {
         outbox: &Outbox,
         targets: Vec<Target>,
     ) -> Result<(), WebhookError> {
-        let client = if targets.is_empty() { None } else { Some(Client::new(settings.timeout)?) };
-        outbox.listen(&targets.iter().map(Listener::from).collect::<Vec<_>>()).await?;
+        let listeners: Vec<Listener> = targets.iter().map(Listener::from).collect();
+        let senders = targets.into_iter().map(|target| Sender::new(target, settings, outbox));
+        let senders = senders.collect::<Result<Vec<_>, _>>()?;
+        outbox.listen(&listeners).await?;
         std::mem::take(&mut self.leave).cancel();
-        for (target, client) in targets.into_iter().zip(client.into_iter().cycle()) {
-            if target.url.is_in_the_clear() {
-                tracing::warn!(to = target.name, "webhooks cross the network in the clear; use https");
-            }
-            let sender = Sender {
-                target,
-                client,
-                outbox: outbox.clone(),
-                schedule: settings.schedule,
-                lease: settings.timeout + LEASE_MARGIN,
-            };
+        for sender in senders {
             self.senders.spawn(Arc::new(sender).work(self.leave.clone()));
         }
         while self.senders.try_join_next().is_some() {}
@@ -160,6 +152,15 @@ struct Sender {
 }
 
 impl Sender {
+    fn new(target: Target, settings: &Settings, outbox: &Outbox) -> Result<Self, OutboundError> {
+        if target.url.is_in_the_clear() {
+            tracing::warn!(to = target.name, "webhooks cross the network in the clear; use https");
+        }
+        let client = Client::new(target.url.clone(), settings.timeout)?;
+        let lease = settings.timeout + LEASE_MARGIN;
+        Ok(Self { target, client, outbox: outbox.clone(), schedule: settings.schedule, lease })
+    }
+
     /// Sends what is due until it is to leave, then ends what is under way.
     async fn work(self: Arc<Self>, leave: CancellationToken) {
         let places = Arc::new(Semaphore::new(SENDERS));
@@ -231,7 +232,7 @@ impl Sender {
             ("webhook-timestamp", timestamp.to_string()),
             ("webhook-signature", signature),
         ];
-        self.client.post(&self.target.url, &headers, body).await
+        self.client.post(&headers, body).await
     }
 
     /// Any 2xx is success, and 410 asks to send no more of it ("Delivery attempts and failures").

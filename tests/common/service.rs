@@ -44,7 +44,13 @@ impl Service {
 
     /// With a data folder that another one may have used.
     pub fn start_on(data: Arc<TempDir>, arguments: &[&str]) -> Self {
-        let started = Self::try_start(command(data.path()).args(arguments), data);
+        Self::start_in(data, arguments, &[])
+    }
+
+    /// With a data folder and environment variables.
+    pub fn start_in(data: Arc<TempDir>, arguments: &[&str], variables: &[(&str, &Path)]) -> Self {
+        let mut command = command(data.path());
+        let started = Self::try_start(command.args(arguments).envs(variables.iter().copied()), data);
         started.unwrap_or_else(|log| panic!("the service did not start: {log}"))
     }
 

@@ -19,13 +19,13 @@ use crate::meshes;
 use crate::service::{PATIENCE, Service, command};
 
 /// A certificate for 127.0.0.1 that signs itself, and its key.
-struct Pair {
+pub struct Pair {
     certificate: rcgen::Certificate,
     key: rcgen::KeyPair,
 }
 
 impl Pair {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let made = rcgen::generate_simple_self_signed(vec!["127.0.0.1".to_owned()]).unwrap();
         Self { certificate: made.cert, key: made.signing_key }
     }
@@ -36,14 +36,14 @@ impl Pair {
 }
 
 /// The files that the service was told of.
-struct Files {
-    cert: PathBuf,
+pub struct Files {
+    pub cert: PathBuf,
     key: PathBuf,
     dir: TempDir,
 }
 
 impl Files {
-    fn new(pair: &Pair) -> Self {
+    pub fn new(pair: &Pair) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let files = Self { cert: dir.path().join("cert.pem"), key: dir.path().join("key.pem"), dir };
         files.put(&pair.certificate.pem(), &pair.key.serialize_pem());
@@ -59,7 +59,7 @@ impl Files {
         }
     }
 
-    fn start(&self, arguments: &[&str]) -> Service {
+    pub fn start(&self, arguments: &[&str]) -> Service {
         let mut all = vec!["--tls-cert", text(&self.cert), "--tls-key", text(&self.key)];
         all.extend(arguments);
         Service::start(&all)

@@ -9,7 +9,8 @@ use tempfile::TempDir;
 
 use crate::meshes;
 use crate::receiver::{Answer, Receiver};
-use crate::service::{PATIENCE, Service, problem};
+use crate::service::{PATIENCE, Service, command, problem};
+use crate::tls::{Files, Pair};
 
 fn webhooks(data: &TempDir, arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
@@ -305,4 +306,37 @@ async fn targets_are_taken_over_while_the_service_runs() {
     ] {
         assert_eq!(webhooks(&data, &wrong).status.code(), Some(1), "{wrong:?}");
     }
+}
+
+#[tokio::test]
+async fn a_target_over_tls_must_show_a_certificate_that_is_trusted() {
+    let files = Files::new(&Pair::new());
+    // It takes no POST there, and so says that it was reached.
+    let target = files.start(&[]);
+    let url = format!("{}/healthz", target.url);
+    let empty = tempfile::tempdir().unwrap();
+    let none = empty.path().join("none.pem");
+    for (trusted, plain, expected) in [
+        (&files.cert, None, "it answered 405"),
+        (&Files::new(&Pair::new()).cert, None, "UnknownIssuer"),
+        // A system without CA certificates sends to plain targets alone.
+        (&none, Some("http://127.0.0.1:1/"), "Connection refused"),
+    ] {
+        let data = folder();
+        done(&data, &["add", "pacs", "--url", plain.unwrap_or(&url)]);
+        let trust = [("SSL_CERT_FILE", trusted.as_path()), ("SSL_CERT_DIR", empty.path())];
+        let service = Service::start_in(data, &["--webhook-attempts", "1"], &trust);
+        let job = service.accepted("", meshes::small()).await;
+        service.ended(&job).await;
+        metric(&service, "rosaline_webhooks{state=\"dead\"} 1").await;
+        let found = dead(&service).await[0]["failure"].as_str().unwrap().to_owned();
+        assert!(found.contains(expected), "{expected}: {found}");
+        assert!(!found.contains("127.0.0.1") && !service.log().contains("/healthz"), "{found}");
+    }
+    let data = folder();
+    done(&data, &["add", "pacs", "--url", &url]);
+    let mut command = command(data.path());
+    let output = command.env("SSL_CERT_FILE", &none).env("SSL_CERT_DIR", empty.path()).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("ca-certificates"));
 }

@@ -80,7 +80,6 @@ pub(super) struct Jwks {
 enum Place {
     File(PathBuf),
     Url {
-        url: Url,
         client: Client,
         /// When an unknown key last made the keys be fetched. Held meanwhile: those that come then wait for it.
         asked: Mutex<Option<Instant>>,
@@ -108,8 +107,8 @@ impl Jwks {
                 (Place::File(path), State { keys, stamp, fetched: None })
             }
             JwksSource::Url(url) => {
-                let client = Client::new(PATIENCE)?;
-                (Place::Url { url, client, asked: Mutex::new(None) }, State::default())
+                let client = Client::new(url, PATIENCE)?;
+                (Place::Url { client, asked: Mutex::new(None) }, State::default())
             }
         };
         Ok(Self { source, state: RwLock::new(state) })
@@ -161,8 +160,8 @@ impl Jwks {
 
     /// Whether the keys were fetched.
     async fn fetch(&self) -> bool {
-        let Place::Url { url, client, .. } = &self.source else { return true };
-        let fetched = client.get(url, MOST).await.map_err(JwksError::from).and_then(|text| parse(&text));
+        let Place::Url { client, .. } = &self.source else { return true };
+        let fetched = client.get(MOST).await.map_err(JwksError::from).and_then(|text| parse(&text));
         match fetched {
             Ok(keys) => {
                 let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
