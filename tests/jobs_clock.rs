@@ -84,7 +84,7 @@ async fn a_restart_in_another_time_runs_what_waited_and_ids_go_on() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn turns_hold_when_the_clock_jumps() {
+async fn ids_go_on_and_nobody_waits_when_the_clock_jumps() {
     for jump in JUMPS {
         let World { service, clock, script, .. } = world(1, |_| ()).await;
         let held = submit(&service, "hold").await;
@@ -95,13 +95,8 @@ async fn turns_hold_when_the_clock_jumps() {
         let urgent = JobSpec { priority: Priority::Urgent, ..JobSpec::default() };
         let urgent = submit_as(&service, "ok urgent", urgent).await;
         script.let_go();
-        let mut started = Vec::new();
         for job in [&first, &second, &urgent] {
             ended(&service, job.id).await;
-        }
-        // By what the service itself did: one worker runs one after the other.
-        for job in [&first, &second, &urgent] {
-            started.push((service.status(job.id).await.unwrap().finished.unwrap(), job.id));
         }
         assert!(first.id < second.id && second.id < urgent.id, "{jump}: ids go on");
         let load = service.load().await.unwrap();
@@ -130,8 +125,8 @@ fn kept(settings: &mut Settings) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_clock_that_leaps_ahead_removes_nothing() {
-    for jump in [DAY, 365 * DAY] {
+async fn a_clock_that_is_set_and_set_right_again_removes_nothing() {
+    for jump in JUMPS {
         let World { service, clock, .. } = world(1, kept).await;
         let job = submit(&service, "ok").await;
         ended(&service, job.id).await;
@@ -142,7 +137,7 @@ async fn a_clock_that_leaps_ahead_removes_nothing() {
         tokio::time::sleep(Duration::from_millis(100)).await;
         // Time that passes in steps as small as a clock's does remove it.
         until(async || {
-            clock.advance(5 * 60 * 1000);
+            clock.advance(60 * 1000);
             tokio::time::sleep(Duration::from_millis(30)).await;
             service.status(job.id).await.err()
         })
@@ -159,7 +154,7 @@ async fn what_ended_while_the_clock_was_ahead_does_not_stay_for_a_year() {
     ended(&service, job.id).await;
     clock.set(NOW);
     until(async || {
-        clock.advance(5 * 60 * 1000);
+        clock.advance(60 * 1000);
         tokio::time::sleep(Duration::from_millis(30)).await;
         service.status(job.id).await.err()
     })

@@ -18,7 +18,6 @@ mod point_grid;
 mod preset_default;
 mod preset_paper;
 mod quality;
-mod ray;
 mod recentering;
 mod segmentation;
 #[cfg(test)]
@@ -37,8 +36,6 @@ pub use parameters::{
     POINTS, ParameterError, ParameterKind, ParameterSpec, Parameters, PointsSpec, Preset, TABLE,
 };
 pub use quality::{Centeredness, Homotopy, Quality};
-
-use rayon::prelude::*;
 
 use crate::mesh::TriangleMesh;
 use crate::mesh::preparation::{
@@ -78,7 +75,8 @@ pub fn extract(
     let parts = parts(&prepared.components);
     let taken = prepared.components.iter().zip(&parts).map(|(surface, part)| part.as_ref().map(|_| surface));
     let picks = picks::place(&taken.collect::<Vec<_>>(), diagonal, parameters, &control.cancel)?;
-    let work = prepared.components.par_iter_mut().zip(&parts).zip(&picks).enumerate();
+    // One after another, as progress and timings tell them: the stages inside use all threads.
+    let work = prepared.components.iter_mut().zip(&parts).zip(&picks).enumerate();
     let lines = work.filter_map(|(index, ((surface, part), picks))| {
         let control = &control.of_part((*part)?);
         Some((index, component(index, surface, (diagonal, parameters, picks), control)))

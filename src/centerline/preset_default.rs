@@ -334,7 +334,8 @@ fn place(grid: &TriangleGrid<'_>, network: &mut Network, node: usize, joint: &Fi
     let Some(anchor) = &mut network.nodes[node].anchor else { return };
     let moved = joint.centre - std::mem::replace(&mut anchor.point, joint.centre);
     let firm = |way: &&FittedLimb| !way.hidden;
-    let widest = joint.limbs.iter().filter(firm).map(|way| way.limb.radii[1]).fold(0.0, f64::max);
+    let radius = |way: &FittedLimb| way.limb.radii[1] * way.inscribed;
+    let widest = joint.limbs.iter().filter(firm).map(radius).fold(0.0, f64::max);
     if widest > 0.0 {
         anchor.radius = widest;
     }
@@ -355,7 +356,7 @@ fn place(grid: &TriangleGrid<'_>, network: &mut Network, node: usize, joint: &Fi
                 let t = i as f64 / count as f64;
                 let Some(tangent) = nalgebra::Unit::try_new(way.limb.slope(t), 0.0) else { continue };
                 let mut station = Station::rough(way.limb.at(t), tangent, way.limb.radius(t), firm.ring);
-                station.radius = way.limb.radius(t) * firm.radius / firm.shape.mean;
+                station.radius = way.limb.radius(t) * way.inscribed;
                 station.sight = Sight::Partial;
                 track.stations.push(station);
             }

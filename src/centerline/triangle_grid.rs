@@ -7,7 +7,9 @@ use rayon::prelude::*;
 
 use crate::mesh::preparation::Surface;
 
-use crate::centerline::ray::crossing;
+/// How far beside a triangle a ray still meets it, in the triangle's sides: one through a corner must not pass between
+/// the triangles around it because of rounding.
+const ROUNDING: f64 = 1e-9;
 
 /// Triangles by the cubes that their bounding boxes touch.
 ///
@@ -168,7 +170,7 @@ impl<'a> TriangleGrid<'a> {
         let mut first: Option<(f64, u32, bool)> = None;
         self.walk(origin, direction, f64::INFINITY, |triangles, until| {
             for &t in triangles {
-                if let Some((share, leaves)) = self.hit(t, origin, direction, 0.0)
+                if let Some((share, leaves)) = self.hit(t, origin, direction, ROUNDING)
                     && share > 0.0
                     && first.is_none_or(|(least, other, _)| (share, t) < (least, other))
                 {
@@ -183,12 +185,12 @@ impl<'a> TriangleGrid<'a> {
     /// Distance to the nearest triangle through which a ray from inside leaves the lumen, in units of
     /// `direction`'s length; what it enters on the way is passed over.
     pub fn way_out(&self, origin: &Point3<f64>, direction: &Vector3<f64>) -> Option<f64> {
-        let leaves = |determinant: f64| determinant < 0.0;
         let mut nearest: Option<f64> = None;
         self.walk(origin, direction, f64::INFINITY, |triangles, until| {
             for &t in triangles {
-                let corners = &self.surface.mesh.triangles[t as usize];
-                if let Some(distance) = crossing(self.surface, corners, origin, direction, leaves) {
+                if let Some((distance, true)) = self.hit(t, origin, direction, ROUNDING)
+                    && distance > 0.0
+                {
                     nearest = Some(nearest.map_or(distance, |least| least.min(distance)));
                 }
             }
@@ -296,7 +298,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::centerline::shapes::torus;
+    use crate::centerline::shapes::{open_tube, torus};
     use crate::centerline::test_surfaces::{closed_surface, voxels};
 
     /// A ring of voxels: edges and vertices in line with every point on its lattice.
@@ -332,6 +334,18 @@ mod tests {
         assert!(grid.triangles.len() <= 1600, "{}", grid.triangles.len());
     }
 
+    #[test]
+    fn a_ray_along_the_axis_leaves_through_the_middle_of_a_cap() {
+        let tube = closed_surface(&open_tube(10.0, 11, 48));
+        let grid = TriangleGrid::new(&tube);
+        for aside in [0.0, 1e-16, -3e-16, 1e-13] {
+            let (from, way) = (Point3::new(aside, -aside, 5.3), Vector3::new(-aside, aside, 1.0));
+            let out = grid.way_out(&from, &way).unwrap();
+            assert!((out - 4.7).abs() < 1e-9, "{aside:e}: {out}");
+            assert!(grid.wall_ahead(&from, &way).is_some(), "{aside:e}");
+        }
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
@@ -363,8 +377,9 @@ mod tests {
                 prop_assert_eq!(wall, Some((*first, true)));
             }
             prop_assert_eq!(grid.encloses(&center(&a, &a)), states[0]);
-            let corners = surface.mesh.triangles.iter();
-            let ways_out = corners.filter_map(|t| crossing(&surface, t, &a, &(b - a), |turn| turn < 0.0));
+            let all = 0..surface.mesh.triangles.len() as u32;
+            let ways_out = all.filter_map(|t| grid.hit(t, &a, &(b - a), ROUNDING));
+            let ways_out = ways_out.filter(|&(share, leaves)| leaves && share > 0.0).map(|(share, _)| share);
             prop_assert_eq!(grid.way_out(&a, &(b - a)), ways_out.min_by(f64::total_cmp));
         }
     }

@@ -221,6 +221,8 @@ impl Profile {
     /// The nearest wall in each direction from `centre`, which the section must enclose.
     pub fn of(section: &Section, centre: &Point2<f64>, fallback: f64) -> Self {
         const WIDTH: f64 = TAU / Profile::BINS as f64;
+        /// A corner in the very direction of a bin is on both its sides: rounding must not leave it on neither.
+        const SLACK: f64 = 1e-9;
         static DIRECTIONS: LazyLock<[Vector2<f64>; Profile::BINS]> = LazyLock::new(|| {
             std::array::from_fn(|bin| Vector2::new((bin as f64 * WIDTH).cos(), (bin as f64 * WIDTH).sin()))
         });
@@ -233,8 +235,8 @@ impl Profile {
             let from = to;
             to += signed_angle(&a, &b);
             let (low, high) = (from.min(to), from.max(to));
-            let mut bin = (low / WIDTH).ceil() as i64;
-            while (bin as f64) * WIDTH <= high {
+            let mut bin = (low / WIDTH - SLACK).ceil() as i64;
+            while (bin as f64) <= high / WIDTH + SLACK {
                 let place = bin.rem_euclid(Self::BINS as i64) as usize;
                 let direction = DIRECTIONS[place];
                 let d = b - a;

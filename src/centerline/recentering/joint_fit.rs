@@ -35,6 +35,8 @@ pub struct FittedLimb {
     /// How many stations at its end toward the joint are replaced.
     pub replaced: usize,
     pub limb: Limb,
+    /// Inscribed radius over the mean radius that the limb has, where it starts.
+    pub inscribed: f64,
     /// Whether nearly all of its way lies inside the other branches: no wall says where it runs.
     pub hidden: bool,
 }
@@ -80,6 +82,7 @@ pub fn fit_joint(surface: &Surface, network: &Network, node: usize) -> Option<Fi
         at_end,
         replaced,
         limb,
+        inscribed: start.inscribed,
         hidden: start.hidden,
     });
     let limbs = fitted.collect();
@@ -156,7 +159,8 @@ fn start(station: &Station, approach: &Approach, centre: &Point3<f64>) -> Option
     let positive = radius > 0.0 && length > 0.0;
     let limb = Limb { control, radii: [radius, radius] };
     let hidden = length > FAR * radius;
-    positive.then_some(Start { limb, line: approach.line, doubt, seeds, hidden })
+    let inscribed = station.radius / radius;
+    positive.then_some(Start { limb, line: approach.line, doubt, seeds, inscribed, hidden })
 }
 
 /// The vertices of the wall between the limbs' first sections.

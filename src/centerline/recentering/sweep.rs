@@ -125,7 +125,7 @@ fn sweep(surface: &Surface, stations: &mut [Station], beyond: [f64; 2]) -> Optio
         return None;
     }
     let mut tube = SweptTube::of(stations, beyond);
-    if tube.tightest_bend() > TIGHT || tube.flatness() > FLAT {
+    if !(tube.is_sound() && tube.tightest_bend() <= TIGHT && tube.flatness() <= FLAT) {
         return None;
     }
     let wall = wall_beside(surface, stations, &tube);
@@ -145,11 +145,15 @@ fn sweep(surface: &Surface, stations: &mut [Station], beyond: [f64; 2]) -> Optio
         let centre = fit_centre(&tube, &heard, fitted.as_ref().map(|(_, centre)| centre))?;
         tube.points.clone_from(&centre.curve);
         tube.settle();
+        if !tube.is_sound() {
+            return None;
+        }
         fitted = Some((shape, centre));
     }
     let (shape, centre) = fitted?;
-    let far = |(i, s): (usize, &Station)| (s.point - tube.points[i]).norm() > MOVED * tube.shapes[i].x;
-    if tube.flatness() > FLAT || stations.iter().enumerate().any(far) {
+    let near = |(i, s): (usize, &Station)| (s.point - tube.points[i]).norm() <= MOVED * tube.shapes[i].x;
+    // Told so that what is no number is refused as well.
+    if !(tube.flatness() <= FLAT && stations.iter().enumerate().all(near)) {
         return None;
     }
     let trust = trust(stations, &tube, &centre);
@@ -241,9 +245,10 @@ fn fit_shape(tube: &SweptTube, heard: &[Heard], before: Option<&Fitted>) -> Opti
         Some(before) if before.flat => ellipse(),
         Some(_) => circle(),
         None => {
-            let (circle, Some(ellipse)) = (circle()?, ellipse()) else { return circle() };
+            let circle = circle()?;
+            let Some(ellipse) = ellipse() else { return Some(circle) };
             let count: f64 = heard.iter().map(|h| h.weight).sum();
-            let gain = count * (circle.left / ellipse.left).ln();
+            let gain = count * (circle.left / ellipse.left.max(f64::MIN_POSITIVE)).ln();
             let price = (ellipse.freedom - circle.freedom) * count.ln();
             Some(if gain > price { ellipse } else { circle })
         }
@@ -264,7 +269,8 @@ impl<Row: Fn(&Heard) -> Vector3<f64>, Hold: Fn(usize) -> Matrix3<f64>> Problem<'
     /// The curve of the given stiffness, or of the one that generalised cross-validation chooses; `None` where most
     /// stations hear no vertex. O(vertices).
     fn solve(&self, stiffness: Option<f64>) -> Option<Fitted> {
-        const LADDER: [f64; 8] = [0.005, 0.03, 0.2, 1.0, 6.0, 40.0, 300.0, 2400.0];
+        /// The stiffest first: of equal ones it is taken.
+        const LADDER: [f64; 8] = [2400.0, 300.0, 40.0, 6.0, 1.0, 0.2, 0.03, 0.005];
         let n = self.values.len();
         let mut weights = vec![Matrix3::zeros(); n];
         let mut pulls = vec![Vector3::zeros(); n];
@@ -286,7 +292,8 @@ impl<Row: Fn(&Heard) -> Vector3<f64>, Hold: Fn(usize) -> Matrix3<f64>> Problem<'
                 let moved = curve[i] - self.values[i];
                 moved.dot(&(weights[i] * moved)) - 2.0 * moved.dot(&pulls[i])
             };
-            squares + (0..n).map(one).sum::<f64>()
+            // Where nothing is left, rounding may leave less.
+            (squares + (0..n).map(one).sum::<f64>()).max(0.0)
         };
         let targets: Vec<Point3<f64>> =
             (0..n).map(|i| self.values[i] + least_squares(&weights[i], &pulls[i])).collect();

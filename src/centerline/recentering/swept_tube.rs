@@ -74,6 +74,14 @@ impl SweptTube {
         (self.shapes[b].x - self.shapes[a].x) / (self.along[b] - self.along[a]).max(f64::MIN_POSITIVE)
     }
 
+    /// Whether it has a length at every piece and a radius at every station, all of them numbers.
+    pub fn is_sound(&self) -> bool {
+        let ascends = self.along.windows(2).all(|pair| pair[0] < pair[1]);
+        let is_number = |point: &Point3<f64>| point.iter().all(|value| value.is_finite());
+        let has_shape = |s: &Vector3<f64>| s.x > 0.0 && s.iter().all(|value| value.is_finite());
+        ascends && self.points.iter().all(is_number) && self.shapes.iter().all(has_shape)
+    }
+
     /// Mean of the ellipses' amplitudes over their mean radii.
     pub fn flatness(&self) -> f64 {
         self.shapes.iter().map(|s| s.y.hypot(s.z) / s.x).sum::<f64>() / self.shapes.len() as f64
@@ -183,11 +191,13 @@ mod tests {
         for (angle, height) in [(0.42_f64, 0.3), (1.234, -0.8), (0.9, 0.0)] {
             for across in [9.1, 10.0, 10.9] {
                 let point = Point3::new(across * angle.cos(), across * angle.sin(), height);
-                let (k, t) = tube.beside(&point, 0);
-                assert_eq!((k, t), tube.beside(&point, 30), "from either side");
-                let (_, place) = tube.foot(&point, k, t);
                 let expected = Point3::new(10.0 * angle.cos(), 10.0 * angle.sin(), 0.0);
-                assert!((place.point - expected).norm() < 1e-4, "{} is not {expected}", place.point);
+                // From either side: at a station the pieces that meet there have the same foot.
+                for near in [0, 30] {
+                    let (k, t) = tube.beside(&point, near);
+                    let (_, place) = tube.foot(&point, k, t);
+                    assert!((place.point - expected).norm() < 1e-4, "{} is not {expected}", place.point);
+                }
             }
         }
     }

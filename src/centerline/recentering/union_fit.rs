@@ -36,6 +36,8 @@ pub struct Start {
     pub doubt: f64,
     /// Triangles at its first section.
     pub seeds: Vec<u32>,
+    /// Inscribed radius over mean radius of its first section.
+    pub inscribed: f64,
     /// Whether it hides in a wider branch: no wall says where it runs.
     pub hidden: bool,
 }

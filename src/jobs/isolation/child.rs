@@ -28,6 +28,8 @@ static PLACE: Mutex<String> = Mutex::new(String::new());
 /// When the parent is gone, or the limit of memory cannot be set.
 pub fn work_off() -> io::Result<()> {
     outlive_stop_signals()?;
+    // A core dump would hold the mesh and its name, outside of the data folder.
+    setrlimit(Resource::RLIMIT_CORE, 0, 0)?;
     // Where memory runs out, the system should end the run, not the service. Not every system has this.
     std::fs::write("/proc/self/oom_score_adj", "1000").ok();
     std::panic::set_hook(Box::new(|info| {

@@ -38,6 +38,8 @@ pub const JOB_MEMORY: NonZeroU64 = NonZeroU64::new(4 << 30).unwrap();
 const WATCH: Duration = Duration::from_millis(10);
 /// Between a crash and the next try, times the crashes so far: memory that was short may be there then.
 const PAUSE: Duration = Duration::from_secs(1);
+/// Before the next try to start a process.
+const LATER: Duration = Duration::from_secs(5);
 /// What is kept of a child's stderr.
 const COMPLAINT: u64 = 16 << 10;
 
@@ -84,6 +86,12 @@ impl JobRunner for Isolated {
                 Err(_) if control.cancel().is_cancelled() => return Err(JobFailure::cancelled()),
                 Err(death) => death,
             };
+            if let Death::NotStarted(error) = &death {
+                // The machine is short of processes or memory, which says nothing of the job: it waits, as long as a run may take.
+                tracing::error!(%error, "no process for a run; it is tried again");
+                pause(LATER, control.cancel());
+                continue;
+            }
             crashes += 1;
             let failure = self.failure(&death, crashes);
             tracing::error!(crashes, reason = failure.detail, "the run's process gave no answer");
@@ -113,7 +121,7 @@ fn attempt(order: &[u8], mesh: &[u8], control: &RunControl) -> Result<Answer, De
         let answer = listen(stdout, control);
         done.store(true, Ordering::Relaxed);
         watcher.thread().unpark();
-        let status = end(&child, answer.is_some());
+        let status = end(&child);
         match (answer, status) {
             (Some(answer), _) => Ok(answer),
             (None, Err(error)) => Err(Death::NotStarted(error)),
@@ -151,12 +159,10 @@ pub fn program() -> io::Result<std::path::PathBuf> {
     if running.exists() { Ok(running.to_owned()) } else { std::env::current_exe() }
 }
 
-/// Reaps the child; one that has answered is not waited for.
-fn end(child: &Mutex<Child>, answered: bool) -> io::Result<ExitStatus> {
+/// Reaps the child, which has said its last word: it is not waited for.
+fn end(child: &Mutex<Child>) -> io::Result<ExitStatus> {
     let mut child = child.lock().unwrap_or_else(PoisonError::into_inner);
-    if answered {
-        child.kill()?;
-    }
+    child.kill().ok();
     child.wait()
 }
 

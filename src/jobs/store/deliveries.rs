@@ -13,17 +13,47 @@ use crate::jobs::{Delivery, DeliveryCounts, JobStatus, Lease, Listener, Told};
 /// back.
 const FURTHEST: i64 = 7 * 24 * 60 * 60 * 1000;
 
+/// The ends of jobs that a target hears of, as the trigger looks for them.
+fn events(listener: &Listener) -> String {
+    let ends: Vec<&str> = listener.ends.iter().map(|end| end.name()).collect();
+    format!(",{},", ends.join(","))
+}
+
+impl SqlStore {
+    /// Whether these targets are those of before, and nothing waits for another one.
+    async fn hears(&self, listeners: &[Listener]) -> Result<bool, StoreError> {
+        let orphans = "SELECT id FROM webhook_deliveries WHERE state = 'waiting' AND lease IS NULL \
+                       AND target NOT IN (SELECT name FROM webhook_targets) LIMIT 1";
+        if !self.rows(sqlx::query(orphans)).await?.is_empty() {
+            return Ok(false);
+        }
+        let told = self.rows(sqlx::query("SELECT name, owner, events FROM webhook_targets")).await?;
+        let mut known: Vec<(String, Option<String>, String)> = Vec::with_capacity(told.len());
+        for row in &told {
+            known.push((row.try_get("name")?, row.try_get("owner")?, row.try_get("events")?));
+        }
+        let mut wanted: Vec<_> =
+            listeners.iter().map(|one| (one.name.clone(), one.owner.clone(), events(one))).collect();
+        known.sort();
+        wanted.sort();
+        Ok(known == wanted)
+    }
+}
+
 impl DeliveryStore for SqlStore {
     fn set_listeners<'a>(&'a self, listeners: &'a [Listener], now: i64) -> StoreFuture<'a, ()> {
         async move {
+            // A full disk must not keep a service from starting whose targets are as they were.
+            if self.hears(listeners).await? {
+                return Ok(());
+            }
             let mut transaction = self.begin().await?;
             sqlx::query("DELETE FROM webhook_targets").execute(&mut *transaction).await?;
             for listener in listeners {
-                let ends: Vec<&str> = listener.ends.iter().map(|end| end.name()).collect();
                 sqlx::query("INSERT INTO webhook_targets (name, owner, events) VALUES ($1, $2, $3)")
                     .bind(listener.name.clone())
                     .bind(listener.owner.clone())
-                    .bind(format!(",{},", ends.join(",")))
+                    .bind(events(listener))
                     .execute(&mut *transaction)
                     .await?;
             }

@@ -64,7 +64,6 @@ impl SqlStore {
         Ok(self.writer.begin().await?)
     }
 
-    /// Every row that a query gives.
     pub(super) async fn rows(&self, statement: Statement<'_>) -> Result<Vec<AnyRow>, StoreError> {
         Ok(statement.fetch_all(&self.readers).await?)
     }
