@@ -176,6 +176,30 @@ async fn keys_and_addresses_that_do_not_fit_are_told() {
 }
 
 #[tokio::test]
+async fn tokens_certificates_and_targets_that_do_not_fit_are_told() {
+    let data = used().await;
+    let file = |name: &str, text: &str| {
+        let path = data.path().join(name);
+        fs::write(&path, text).unwrap();
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let issuer = ["--jwt-issuer", "https://id.example", "--jwt-audience", "rosaline", "--jwks"];
+    let open = ["--listen", "0.0.0.0:0"];
+    wrong(
+        doctor(data.path()).args(issuer).arg(file("damaged.json", "{")).args(open),
+        "the service does not start",
+    );
+    let (well, said) = asked(doctor(data.path()).args(issuer).arg("http://127.0.0.1:1/keys").args(open));
+    assert!(well && said.contains("tokens of https://id.example are let in"), "{said}");
+    assert!(!said.contains("no key was made") && !said.contains("--insecure"), "{said}");
+    let none = file("none.pem", "");
+    wrong(doctor(data.path()).args(["--tls-cert", &none, "--tls-key", &none]), "holds no certificate");
+    file("webhooks.json", "{");
+    wrong(&mut doctor(data.path()), "add the targets again");
+}
+
+#[tokio::test]
 async fn limits_that_do_not_fit_are_told() {
     let data = used().await;
     wrong(doctor(data.path()).args(["--threads", "1", "--workers", "2"]), "2 workers");

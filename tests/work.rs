@@ -17,7 +17,7 @@ use rosaline::phantom::{Kind, Phantom, Settings, generate};
 const ALLOCATIONS: u64 = 15_412;
 /// The most that were held at once.
 const BYTES: u64 = 392_285;
-const INSTRUCTIONS: u64 = 115_338_164;
+const INSTRUCTIONS: u64 = 204_288_940;
 
 fn bifurcation() -> Phantom {
     let settings = Settings { voxel: 1.2, ..Settings::of(Kind::Bifurcation) };

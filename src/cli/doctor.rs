@@ -8,10 +8,12 @@ use std::process::Command;
 
 use super::Failure;
 use super::serve::{self, settings};
-use crate::http::access::KeyFile;
+use crate::http::Tls;
+use crate::http::access::{Issuer, KeyFile};
 use crate::jobs::checkup::{self, Finding};
 use crate::jobs::isolation::program;
 use crate::jobs::{Clock, SystemClock};
+use crate::outbound::webhooks::TargetFile;
 
 /// Prints a line a finding, for the settings of `rosaline serve`; a running service is not disturbed.
 ///
@@ -27,9 +29,12 @@ pub fn run(args: serve::Args) -> Result<(), Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     found.extend(runtime.block_on(checkup::database(&args.data, now)));
     let keys = args.keys.clone().unwrap_or_else(|| args.data.join("keys.json"));
-    let (is_closed, keys) = keys_of(&keys);
+    let (has_keys, keys) = keys_of(&keys, args.jwt_issuer.is_some());
     found.extend(keys);
-    found.extend(address(&args, is_closed, in_use));
+    found.extend(issuer(&args));
+    found.extend(certificate(&args));
+    found.extend(targets(&args));
+    found.extend(address(&args, has_keys || args.jwt_issuer.is_some(), in_use));
     found.push(audit(&args));
     found.extend(bounds(&args));
     found.push(clock(now));
@@ -54,13 +59,12 @@ fn tell(found: &[Finding]) -> Result<(), Failure> {
     }
 }
 
-/// Whether a key is needed, and what is to be said of the keys.
-fn keys_of(path: &Path) -> (bool, Vec<Finding>) {
+/// Whether there are keys, and what is to be said of them.
+fn keys_of(path: &Path, has_issuer: bool) -> (bool, Vec<Finding>) {
     if !path.exists() {
-        return (
-            false,
-            vec![Finding::Note("no key was made: whoever reaches the address may do everything".to_owned())],
-        );
+        let open = "no key was made: whoever reaches the address may do everything".to_owned();
+        let found = if has_issuer { Vec::new() } else { vec![Finding::Note(open)] };
+        return (false, found);
     }
     let mut found: Vec<Finding> = checkup::secrecy(path, "the key file", "600").into_iter().collect();
     found.push(match KeyFile::new(path).list() {
@@ -78,13 +82,59 @@ fn keys_of(path: &Path) -> (bool, Vec<Finding>) {
     (true, found)
 }
 
+/// Whether the issuer's keys can be read; a URL is not asked.
+fn issuer(args: &serve::Args) -> Option<Finding> {
+    let (issuer, audience, keys) =
+        (args.jwt_issuer.as_ref()?, args.jwt_audience.as_ref()?, args.jwks.as_ref()?);
+    Some(match Issuer::open(issuer, audience, keys.clone()) {
+        Ok(_) if keys.is_in_the_clear() => Finding::Note(
+            "the issuer's keys come in the clear: whoever is in between can make tokens; use https"
+                .to_owned(),
+        ),
+        Ok(_) => Finding::Well(format!("tokens of {issuer} are let in")),
+        Err(error) => Finding::wrong(error.to_string(), "the service does not start: see to --jwks"),
+    })
+}
+
+/// Whether the certificate and its key can be used.
+fn certificate(args: &serve::Args) -> Vec<Finding> {
+    let (Some(cert), Some(key)) = (&args.tls_cert, &args.tls_key) else { return Vec::new() };
+    let mut found: Vec<Finding> = checkup::secrecy(key, "the TLS key", "600").into_iter().collect();
+    found.push(match Tls::open(cert, key) {
+        Ok(_) => Finding::Well("the TLS certificate and its key go together".to_owned()),
+        Err(error) => {
+            Finding::wrong(error.to_string(), "the service does not start: see to --tls-cert and --tls-key")
+        }
+    });
+    found
+}
+
+/// Whether the webhook targets can be read; none is asked.
+fn targets(args: &serve::Args) -> Vec<Finding> {
+    let path = args.webhooks.clone().unwrap_or_else(|| args.data.join("webhooks.json"));
+    if !path.exists() {
+        return Vec::new();
+    }
+    // It holds the secrets that messages are signed with.
+    let mut found: Vec<Finding> =
+        checkup::secrecy(&path, "the file of webhook targets", "600").into_iter().collect();
+    found.push(match TargetFile::new(&path).list() {
+        Ok(targets) => Finding::Well(format!("{} webhook targets are told of jobs' ends", targets.len())),
+        Err(error) => Finding::wrong(
+            error.to_string(),
+            "the service does not start: put a copy back, or remove it and add the targets again",
+        ),
+    });
+    found
+}
+
 fn address(args: &serve::Args, is_closed: bool, in_use: bool) -> Vec<Finding> {
     let resolved = args.listen.to_socket_addrs().ok().and_then(|mut all| all.next());
     let Some(address) = resolved else {
         let what = format!("--listen {} is no address of this machine", args.listen);
         return vec![Finding::wrong(what, "give HOST:PORT, 127.0.0.1:8080 for example")];
     };
-    let mut found = vec![reach(address, is_closed, args.insecure)];
+    let mut found = vec![reach(address, is_closed, args)];
     found.push(match TcpListener::bind(address) {
         Ok(_) => Finding::Well(format!("{address} is free")),
         Err(_) if in_use => Finding::Well(format!("{address} is taken, by the service as it seems")),
@@ -97,9 +147,12 @@ fn address(args: &serve::Args, is_closed: bool, in_use: bool) -> Vec<Finding> {
 }
 
 /// Who can reach the address, and whether they should.
-fn reach(address: SocketAddr, is_closed: bool, insecure: bool) -> Finding {
-    match (address.ip().to_canonical().is_loopback(), is_closed, insecure) {
+fn reach(address: SocketAddr, is_closed: bool, args: &serve::Args) -> Finding {
+    match (address.ip().to_canonical().is_loopback(), is_closed, args.insecure) {
         (true, ..) => Finding::Well(format!("only this machine reaches {address}")),
+        (false, true, _) if args.tls_cert.is_some() => {
+            Finding::Well(format!("other machines reach {address}, over TLS and with a key or a token"))
+        }
         (false, true, _) => Finding::Note(format!(
             "other machines reach {address}; their keys and meshes cross the network in the clear unless there is TLS before it"
         )),
