@@ -250,8 +250,17 @@ impl Client {
     }
 
     /// Whether a fault of this operation has come, by the log.
-    pub fn came_by(&self, operation: Operation) -> bool {
-        self.service().log().contains(&format!("fault=\"{}\"", operation.name()))
+    pub async fn came_by(&self, operation: Operation) -> bool {
+        let word = format!("fault=\"{}\"", operation.name());
+        let begin = Instant::now();
+        // What a worker tries again later may come after the jobs' ends.
+        while !self.service().log().contains(&word) {
+            if begin.elapsed().as_secs() > 20 {
+                return false;
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        true
     }
 
     /// Whether the process dies without being asked for anything: the housekeeping's points.

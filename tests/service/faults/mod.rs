@@ -106,7 +106,7 @@ async fn an_error_at_any_point_is_borne() {
         assert!(client.start(&format!("{},{more}", armed(operation, "before", "error"))));
         client.wish(round);
         assert!(client.pursue().await.is_ok(), "{operation:?}: {}", client.service().log());
-        assert!(client.came_by(operation), "no process came by {operation:?}");
+        assert!(client.came_by(operation).await, "no process came by {operation:?}");
     }
 }
 
@@ -127,7 +127,7 @@ async fn a_panic_at_any_point_of_a_job_is_borne() {
         assert!(client.start(&armed(operation, "before", "panic")));
         client.wish(round);
         assert!(client.pursue().await.is_ok(), "{operation:?}: {}", client.service().log());
-        assert!(client.came_by(operation), "no process came by {operation:?}");
+        assert!(client.came_by(operation).await, "no process came by {operation:?}");
     }
 }
 
