@@ -12,7 +12,7 @@ use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio_rustls::rustls::{self, ServerConfig};
 use tokio_util::sync::CancellationToken;
 
-use crate::outbound::stamp::{Stamp, stamp};
+use crate::jobs::operator_file::{Stamp, stamp};
 
 /// How often the files are looked at.
 const LOOK: Duration = Duration::from_secs(1);

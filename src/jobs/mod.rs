@@ -28,6 +28,7 @@ pub mod isolation;
 mod live;
 mod meter;
 mod model;
+pub mod operator_file;
 mod outbox;
 mod panics;
 mod parameters;

@@ -1,7 +1,6 @@
 //! Requests that the service itself sends: only to addresses that its operator set, never to one from a request.
 
 mod client;
-pub mod stamp;
 pub mod webhooks;
 
 pub use client::{Answer, Client, OutboundError, Url};

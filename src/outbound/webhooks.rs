@@ -17,8 +17,8 @@ use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
-use super::stamp::{Stamp, stamp};
 use super::{Answer, Client, OutboundError};
+use crate::jobs::operator_file::{Stamp, stamp};
 use crate::jobs::{Delivery, JobService, Lease, Listener, Outbox, Told};
 
 pub use schedule::Schedule;

@@ -11,7 +11,7 @@ use serde::Deserialize;
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
-use crate::outbound::stamp::{Stamp, stamp};
+use crate::jobs::operator_file::{Stamp, stamp};
 use crate::outbound::{Client, OutboundError, Url};
 
 /// Bytes of a key set.

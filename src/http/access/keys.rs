@@ -1,7 +1,7 @@
 //! The file of API keys: hashes only, changed by `rosaline keys`, read by the service.
 
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write};
+use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 use time::OffsetDateTime;
 use time::format_description::well_known::Rfc3339;
 
-use crate::jobs::faults::{Operation, between};
+use crate::jobs::operator_file;
 
 /// What every key begins with, so that leaked ones can be searched for.
 pub(super) const PREFIX: &str = "rosaline_";
@@ -151,13 +151,11 @@ impl KeyFile {
 
     fn change<T>(&self, change: impl FnOnce(&mut Vec<Key>) -> Result<T, KeyError>) -> Result<T, KeyError> {
         let failed = |source| KeyError::Io { path: self.path.display().to_string(), source };
-        // Of two changes at the same time, none is lost.
-        let lock = self.path.with_extension("lock");
-        let lock = private().truncate(false).open(lock).map_err(failed)?;
-        lock.lock().map_err(failed)?;
+        let _lock = operator_file::lock(&self.path).map_err(failed)?;
         let mut keys = self.list()?;
         let changed = change(&mut keys)?;
-        write(&self.path, &Kept { keys }).map_err(failed)?;
+        let text = serde_json::to_vec_pretty(&Kept { keys }).map_err(|error| failed(error.into()))?;
+        operator_file::replace(&self.path, &text).map_err(failed)?;
         Ok(changed)
     }
 }
@@ -176,26 +174,6 @@ pub(super) fn read(path: &Path) -> Result<Option<Vec<Key>>, KeyError> {
 
 fn is_absent(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
-}
-
-/// Whole or not at all, for its owner's eyes only.
-fn write(path: &Path, kept: &Kept) -> io::Result<()> {
-    let temporary = path.with_extension("new");
-    let mut file = private().truncate(true).open(&temporary)?;
-    let text = serde_json::to_vec_pretty(kept)?;
-    between(Operation::KeysWrite, || file.write_all(&text))?;
-    between(Operation::KeysSync, || file.sync_all())?;
-    between(Operation::KeysRename, || fs::rename(&temporary, path))?;
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
-}
-
-fn private() -> OpenOptions {
-    let mut options = OpenOptions::new();
-    options.write(true).create(true);
-    #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    options
 }
 
 fn fresh(name: &str, scopes: &[Scope]) -> Result<(String, Key), KeyError> {

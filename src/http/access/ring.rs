@@ -5,7 +5,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 
 use super::keys::{Key, KeyError, hash, id_of, read};
 use super::{Caller, Principal};
-use crate::outbound::stamp::{Stamp, stamp};
+use crate::jobs::operator_file::{Stamp, stamp};
 
 /// The keys in force.
 pub struct KeyRing {

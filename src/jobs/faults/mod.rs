@@ -78,9 +78,9 @@ operations! {
     AuditWrite = "audit-write";
     AuditSync = "audit-sync";
     AuditRotate = "audit-rotate";
-    KeysWrite = "keys-write";
-    KeysSync = "keys-sync";
-    KeysRename = "keys-rename";
+    OperatorFileWrite = "operator-file-write";
+    OperatorFileSync = "operator-file-sync";
+    OperatorFileRename = "operator-file-rename";
 }
 
 /// When an operation fails.

@@ -1,15 +1,15 @@
 //! The file of webhook targets: made by the operator, by hand or with `rosaline webhooks`.
 
 use std::collections::HashSet;
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write};
+use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
 use super::super::Url;
 use super::signature::Secret;
-use crate::jobs::{JobStatus, Listener};
+use crate::jobs::{JobStatus, Listener, operator_file};
 
 const NAME_CHARS: usize = 64;
 
@@ -162,37 +162,16 @@ impl TargetFile {
         &self,
         change: impl FnOnce(&mut Vec<Target>) -> Result<(), TargetError>,
     ) -> Result<(), TargetError> {
-        // Of two changes at the same time, none is lost.
-        let lock = private().truncate(false).open(self.path.with_extension("lock"));
-        let lock = lock.map_err(|source| self.failed(source))?;
-        lock.lock().map_err(|source| self.failed(source))?;
+        let _lock = operator_file::lock(&self.path).map_err(|source| self.failed(source))?;
         let mut targets = self.list()?;
         change(&mut targets)?;
-        self.write(&Kept { targets }).map_err(|source| self.failed(source))
-    }
-
-    /// Whole or not at all, for its owner's eyes only.
-    fn write(&self, kept: &Kept) -> io::Result<()> {
-        let temporary = self.path.with_extension("new");
-        let mut file = private().truncate(true).open(&temporary)?;
-        file.write_all(&serde_json::to_vec_pretty(kept)?)?;
-        file.sync_all()?;
-        fs::rename(&temporary, &self.path)?;
-        let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty());
-        File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+        let text = serde_json::to_vec_pretty(&Kept { targets }).map_err(|error| self.failed(error.into()))?;
+        operator_file::replace(&self.path, &text).map_err(|source| self.failed(source))
     }
 
     fn failed(&self, source: io::Error) -> TargetError {
         TargetError::Io { path: self.path.display().to_string(), source }
     }
-}
-
-fn private() -> OpenOptions {
-    let mut options = OpenOptions::new();
-    options.write(true).create(true);
-    #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    options
 }
 
 fn check_name(name: &str) -> Result<(), TargetError> {

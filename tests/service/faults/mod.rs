@@ -34,7 +34,9 @@ fn place(operation: Operation) -> Where {
         | Operation::StoreForgetExpired => Where::Retention,
         Operation::StoreRelease => Where::Stop,
         Operation::Method => Where::Run,
-        Operation::KeysWrite | Operation::KeysSync | Operation::KeysRename => Where::Keys,
+        Operation::OperatorFileWrite | Operation::OperatorFileSync | Operation::OperatorFileRename => {
+            Where::Keys
+        }
         _ => Where::Usual,
     }
 }
@@ -191,7 +193,7 @@ fn a_crash_while_keys_are_written_leaves_the_old_ones_or_the_new() {
             assert!(!output.status.success(), "no process came by {operation:?} {side}");
             let list = keys(&data, "", &["list"]);
             let text = String::from_utf8(list.stdout).unwrap();
-            let both = operation == Operation::KeysRename && side == "after";
+            let both = operation == Operation::OperatorFileRename && side == "after";
             assert_eq!(text.lines().count(), 1 + usize::from(both), "{operation:?} {side}: {text}");
             assert!(keys(&data, "", &["add", "three", "--scope", "read"]).status.success());
         }
