@@ -4,13 +4,14 @@
 //! in turns until both agree: far less noisy than one plane a vertex, and exact for any tube of
 //! symmetric section.
 
-use nalgebra::{Matrix3, Point3, Unit};
+use nalgebra::{Matrix3, Point3, Unit, Vector2};
 
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::cut_plane::ownership::Wall;
-use crate::centerline::cut_plane::section::{Frame, Profile, Section};
+use crate::centerline::cut_plane::section::{Frame, Profile, Section, SectionMeasure};
 use crate::centerline::cut_plane::wall_fit::{accept_clean, judge, judge_end, wall_axis};
+use crate::centerline::cut_plane::wall_shape::WallShape;
 use crate::centerline::laplacian_smoothing::curve_fit::fit_curve;
 use crate::centerline::segmentation::level_sets::LevelSet;
 use crate::centerline::segmentation::track::{
@@ -51,7 +52,7 @@ pub fn nearest_ring(rings: &[LevelSet], point: &Point3<f64>) -> usize {
 /// Moves the stations to the centroids of their sections, a few rounds, and notes radii and profiles.
 pub fn settle(surface: &Surface, track: &mut Track) {
     let Track { rings, stations, .. } = track;
-    for _ in 0..SETTLING {
+    for round in 1..=SETTLING {
         for station in stations.iter_mut() {
             let frame = Frame::new(station.point, station.tangent, station.frame.u);
             let Some(cut) = section_from_rings(surface, frame, rings_near(rings, station.ring)) else {
@@ -60,7 +61,13 @@ pub fn settle(surface: &Surface, track: &mut Track) {
             let measure = cut.measure();
             station.sight = Sight::Lost;
             let wide = WIDE * rings[station.ring].radius();
-            if cut.encloses(&measure.centroid) && measure.radius() < wide {
+            if !(cut.encloses(&measure.centroid) && measure.radius() < wide) {
+                continue;
+            }
+            if round < SETTLING {
+                // The next round cuts anew.
+                pass(surface, station, &cut, &measure);
+            } else {
                 accept_clean(surface, station, &cut, measure.centroid, measure.radius());
             }
         }
@@ -76,6 +83,14 @@ pub fn settle(surface: &Surface, track: &mut Track) {
         }
         update_tangents(stations);
     }
+}
+
+/// Moves a station to the middle of its section; its profile is not noted.
+fn pass(surface: &Surface, station: &mut Station, cut: &Section, measure: &SectionMeasure) {
+    let [x, y] = WallShape::of(surface, cut, &measure.centroid, measure.radius()).offset;
+    station.target = cut.frame.lift(&(measure.centroid + Vector2::new(x, y)));
+    station.frame = cut.frame;
+    station.sight = Sight::Clean;
 }
 
 /// The station whose section is most surely this branch alone, and whether it is round enough to trust.

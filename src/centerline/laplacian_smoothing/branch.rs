@@ -6,7 +6,7 @@ use crate::centerline::connection::subsampling::Anchor;
 use crate::centerline::segmentation::track::{SPACING, Sight, Station, Track, tangents, update_tangents};
 
 use super::continuation::Process;
-use super::curve_fit::fit_curve;
+use super::curve_fit::{CurveFit, fit_curve};
 
 /// Stiffness where no section is clean: waves shorter than about six radii are noise of the wall.
 pub const FIRM: f64 = 150.0;
@@ -33,8 +33,9 @@ pub fn choose_stiffness(stations: &[Station]) -> f64 {
     let spacing = along[n - 1] / (n - 1) as f64;
     let grain = clean.iter().map(|s| s.shape.grain).sum::<f64>() / n as f64;
     let weights = vec![Matrix3::identity(); n];
+    let fit = CurveFit::new(&targets, &weights, &along);
     let score = |stiffness: f64| {
-        let fitted = fit_curve(&targets, &weights, &along, |_| stiffness, 0.0);
+        let fitted = fit.curve(|_| stiffness, 0.0);
         let left: f64 = fitted.iter().zip(&targets).map(|(p, q)| (p - q).norm_squared()).sum();
         let gain = |k: usize| {
             let wave = 2.0 - 2.0 * (std::f64::consts::PI * k as f64 / n as f64).cos();

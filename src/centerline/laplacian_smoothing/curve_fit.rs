@@ -6,8 +6,7 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
-/// Half bandwidth of the normal equations: four points take part in a third difference.
-const BAND: usize = 11;
+use super::banded::Banded;
 
 /// Moves `targets` onto the smoothest curve that respects their `weights` (3 x 3, identity: firm).
 ///
@@ -21,97 +20,86 @@ pub fn fit_curve(
     third: impl Fn(usize) -> f64,
     second: f64,
 ) -> Vec<Point3<f64>> {
-    let n = targets.len();
-    if n < 3 {
-        return targets.to_vec();
-    }
-    let mut system = Banded::new(3 * n);
-    let origin = targets[0];
-    let mut right = vec![0.0; 3 * n];
-    for i in 0..n {
-        let pull = weights[i] * (targets[i] - origin);
-        for row in 0..3 {
-            right[3 * i + row] = pull[row];
-            for column in 0..=row {
-                system.add(3 * i + row, 3 * i + column, weights[i][(row, column)]);
-            }
-        }
-    }
-    penalise::<3>(&mut system, abscissa, |_| second);
-    penalise::<4>(&mut system, abscissa, third);
-    // Holds directions that nothing else pins.
-    for i in 0..3 * n {
-        system.add(i, i, 1e-9);
-        right[i] += 1e-9 * (targets[i / 3] - origin)[i % 3];
-    }
-    system.solve(&mut right);
-    right.chunks_exact(3).map(|p| origin + Vector3::new(p[0], p[1], p[2])).collect()
+    CurveFit::new(targets, weights, abscissa).curve(third, second)
 }
 
-/// Adds the squares of the divided differences over `POINTS` neighbours, scaled so that on even
-/// spacing they are the plain differences (1, -2, 1 and -1, 3, -3, 1).
-fn penalise<const POINTS: usize>(system: &mut Banded, abscissa: &[f64], weight: impl Fn(usize) -> f64) {
+/// Targets, weights and spacing of a curve that is fitted several times, more and less stiff.
+pub struct CurveFit<'a> {
+    targets: &'a [Point3<f64>],
+    /// The normal equations without a penalty.
+    system: Banded,
+    right: Vec<f64>,
+    seconds: Vec<[f64; 3]>,
+    thirds: Vec<[f64; 4]>,
+}
+
+impl<'a> CurveFit<'a> {
+    /// As for [`fit_curve`].
+    pub fn new(targets: &'a [Point3<f64>], weights: &[Matrix3<f64>], abscissa: &[f64]) -> Self {
+        /// Holds directions that nothing else pins.
+        const HOLD: f64 = 1e-9;
+        let mut system = Banded::new(3 * targets.len());
+        let mut right = Vec::with_capacity(3 * targets.len());
+        for (i, (target, weight)) in targets.iter().zip(weights).enumerate() {
+            let away = target - targets[0];
+            right.extend_from_slice((weight * away + away * HOLD).as_slice());
+            for row in 0..3 {
+                for column in row..3 {
+                    system.add(3 * i + row, 3 * i + column, weight[(row, column)]);
+                }
+                system.add(3 * i + row, 3 * i + row, HOLD);
+            }
+        }
+        Self { targets, system, right, seconds: differences(abscissa), thirds: differences(abscissa) }
+    }
+
+    /// The curve for weights of the squared third and second differences. O(n).
+    pub fn curve(&self, third: impl Fn(usize) -> f64, second: f64) -> Vec<Point3<f64>> {
+        let Some(origin) = self.targets.first().filter(|_| self.targets.len() >= 3) else {
+            return self.targets.to_vec();
+        };
+        let mut system = self.system.clone();
+        penalise(&mut system, &self.seconds, |_| second);
+        penalise(&mut system, &self.thirds, third);
+        let mut moved = self.right.clone();
+        system.solve(&mut moved);
+        moved.chunks_exact(3).map(|p| origin + Vector3::new(p[0], p[1], p[2])).collect()
+    }
+}
+
+/// The coefficients of the divided differences over `POINTS` neighbours, scaled so that on even spacing they are the
+/// plain differences (1, -2, 1 and -1, 3, -3, 1).
+fn differences<const POINTS: usize>(abscissa: &[f64]) -> Vec<[f64; POINTS]> {
     let order = POINTS - 1;
     let factorial: f64 = (1..=order).map(|k| k as f64).product();
-    for start in 0..abscissa.len().saturating_sub(order) {
-        let s: [f64; POINTS] = std::array::from_fn(|i| abscissa[start + i]);
+    let of = |s: &[f64]| {
         let step = (s[order] - s[0]) / order as f64;
-        let coefficient: [f64; POINTS] = std::array::from_fn(|i| {
+        std::array::from_fn(|i| {
             let product: f64 = (0..POINTS).filter(|&j| j != i).map(|j| s[i] - s[j]).product();
             factorial * step.powi(order as i32) / product
-        });
+        })
+    };
+    abscissa.windows(POINTS).map(of).collect()
+}
+
+/// Adds the squares of differences, each by its weight.
+fn penalise<const POINTS: usize>(
+    system: &mut Banded,
+    differences: &[[f64; POINTS]],
+    weight: impl Fn(usize) -> f64,
+) {
+    for (start, coefficient) in differences.iter().enumerate() {
+        let weight = weight(start);
+        if weight == 0.0 {
+            continue;
+        }
         for i in 0..POINTS {
-            for j in 0..=i {
-                let value = weight(start) * coefficient[i] * coefficient[j];
+            for j in i..POINTS {
+                let value = weight * coefficient[i] * coefficient[j];
                 for axis in 0..3 {
                     system.add(3 * (start + i) + axis, 3 * (start + j) + axis, value);
                 }
             }
-        }
-    }
-}
-
-/// A symmetric positive definite band matrix, lower half by rows.
-struct Banded {
-    rows: Vec<[f64; BAND + 1]>,
-}
-
-impl Banded {
-    fn new(n: usize) -> Self {
-        Self { rows: vec![[0.0; BAND + 1]; n] }
-    }
-
-    /// Adds to entry (`row`, `column`), `column <= row`.
-    fn add(&mut self, row: usize, column: usize, value: f64) {
-        self.rows[row][BAND + column - row] += value;
-    }
-
-    /// Cholesky factorisation and both substitutions, in place.
-    fn solve(mut self, right: &mut [f64]) {
-        let n = self.rows.len();
-        for i in 0..n {
-            let first = i.saturating_sub(BAND);
-            for j in first..=i {
-                let shared = j.saturating_sub(BAND).max(first);
-                let mut sum = self.rows[i][BAND + j - i];
-                for k in shared..j {
-                    sum -= self.rows[i][BAND + k - i] * self.rows[j][BAND + k - j];
-                }
-                self.rows[i][BAND + j - i] =
-                    if i == j { sum.max(f64::MIN_POSITIVE).sqrt() } else { sum / self.rows[j][BAND] };
-            }
-        }
-        for i in 0..n {
-            for k in i.saturating_sub(BAND)..i {
-                right[i] -= self.rows[i][BAND + k - i] * right[k];
-            }
-            right[i] /= self.rows[i][BAND];
-        }
-        for i in (0..n).rev() {
-            for k in i + 1..(i + BAND + 1).min(n) {
-                right[i] -= self.rows[k][BAND + i - k] * right[k];
-            }
-            right[i] /= self.rows[i][BAND];
         }
     }
 }

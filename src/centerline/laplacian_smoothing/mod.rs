@@ -3,6 +3,7 @@
 //! It evens the points of a branch, and draws those near a segment's border across it, so that the points of
 //! neighbouring segments come together in the joint.
 
+pub mod banded;
 pub mod branch;
 pub mod continuation;
 pub mod curve_fit;

@@ -3,9 +3,8 @@
 //! [`super::union_fit`]). No section is needed, so it works up to the centre, where no plane cuts one branch
 //! alone.
 
-use std::collections::HashSet;
-
 use nalgebra::{Point3, Vector3};
+use rustc_hash::FxHashSet;
 
 use crate::centerline::connection::network::Network;
 use crate::centerline::recentering::approach::{Approach, run_up};
@@ -186,7 +185,7 @@ fn wall_around(surface: &Surface, starts: &[Start], centre: &Point3<f64>) -> Vec
         .collect();
     found.sort_unstable();
     found.dedup();
-    let mut seen: HashSet<u32> = found.iter().copied().collect();
+    let mut seen: FxHashSet<u32> = found.iter().copied().collect();
     let mut next = 0;
     while let Some(&v) = found.get(next) {
         next += 1;

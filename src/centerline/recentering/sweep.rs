@@ -17,7 +17,7 @@ use crate::mesh::preparation::Surface;
 use crate::centerline::connection::network::Network;
 use crate::centerline::connection::subsampling::settle_radii;
 use crate::centerline::cut_plane::wall_shape::FLAT;
-use crate::centerline::laplacian_smoothing::curve_fit::fit_curve;
+use crate::centerline::laplacian_smoothing::curve_fit::CurveFit;
 use crate::centerline::recentering::ends::continued_radius;
 use crate::centerline::recentering::swept_tube::SweptTube;
 use crate::centerline::recentering::swept_wall::{
@@ -135,14 +135,19 @@ fn sweep(surface: &Surface, stations: &mut [Station], beyond: [f64; 2]) -> Optio
     let mut fitted: Option<(Fitted, Fitted)> = None;
     for round in 0..ROUNDS {
         let mut heard = hear(&tube, &wall);
-        if round < CHOOSING {
-            fitted = None;
-        } else {
+        if round >= CHOOSING {
             doubt_unusual(&tube, &mut heard);
         }
-        let shape = fit_shape(&tube, &heard, fitted.as_ref().map(|(shape, _)| shape))?;
+        let search = |before: Option<&Fitted>| match before {
+            None => Search::Whole,
+            Some(before) if round < CHOOSING => Search::From(before.rung),
+            Some(before) => Search::Keep(before.rung),
+        };
+        let before = fitted.as_ref();
+        let shape =
+            fit_shape(&tube, &heard, search(before.map(|(s, _)| s)), before.is_some_and(|(s, _)| s.flat))?;
         tube.shapes = shape.curve.iter().map(|p| p.coords).collect();
-        let centre = fit_centre(&tube, &heard, fitted.as_ref().map(|(_, centre)| centre))?;
+        let centre = fit_centre(&tube, &heard, search(before.map(|(_, centre)| centre)))?;
         tube.points.clone_from(&centre.curve);
         tube.settle();
         if !tube.is_sound() {
@@ -191,10 +196,23 @@ fn trust(stations: &[Station], tube: &SweptTube, centre: &Fitted) -> f64 {
     if sections > 0.0 { sections / (sections + vertices) } else { 0.0 }
 }
 
+/// How stiff a curve may be; the stiffest first: of equal ones it is taken.
+const LADDER: [f64; 8] = [2400.0, 300.0, 40.0, 6.0, 1.0, 0.2, 0.03, 0.005];
+
+/// Which rungs of the ladder are tried.
+#[derive(Debug, Clone, Copy)]
+enum Search {
+    Whole,
+    /// From one to the better of its neighbours, as long as there is one.
+    From(usize),
+    Keep(usize),
+}
+
 /// A smooth curve through what the stations hear.
 struct Fitted {
     curve: Vec<Point3<f64>>,
-    stiffness: f64,
+    /// Its stiffness' place on the ladder.
+    rung: usize,
     /// Weighted squares that it leaves.
     left: f64,
     /// Unknowns that it uses up (trace of the hat matrix).
@@ -225,52 +243,46 @@ struct Problem<'a, Row: Fn(&Heard) -> Vector3<f64>, Hold: Fn(usize) -> Matrix3<f
 }
 
 /// The shape along the tube: with an ellipse where that explains the vertices better than a circle, by the
-/// Bayesian information criterion (Schwarz 1978).
-fn fit_shape(tube: &SweptTube, heard: &[Heard], before: Option<&Fitted>) -> Option<Fitted> {
+/// Bayesian information criterion (Schwarz 1978). `was_flat`: what was chosen before, and stays if the stiffness does.
+fn fit_shape(tube: &SweptTube, heard: &[Heard], search: Search, was_flat: bool) -> Option<Fitted> {
     let flat = Matrix3::from_diagonal(&Vector3::new(0.0, 1.0, 1.0));
-    let fixed = before.map(|before| before.stiffness);
     let circle = || {
         let values = tube.shapes.iter().map(|s| Point3::new(s.x, 0.0, 0.0)).collect();
         let (row, hold) = (|_: &Heard| Vector3::x(), |_| flat);
         let outside = outside_circle;
-        Problem { tube, heard, values, outside, row, hold, seen: 1.0, order: 2 }.solve(fixed)
+        Problem { tube, heard, values, outside, row, hold, seen: 1.0, order: 2 }.solve(search)
     };
     let ellipse = || {
         let values = tube.shapes.iter().map(|s| Point3::from(*s)).collect();
         let (row, hold) = (|h: &Heard| h.terms, |_| Matrix3::zeros());
-        let fitted = Problem { tube, heard, values, outside, row, hold, seen: 3.0, order: 2 }.solve(fixed)?;
+        let fitted =
+            Problem { tube, heard, values, outside, row, hold, seen: 3.0, order: 2 }.solve(search)?;
         Some(Fitted { flat: true, ..fitted })
     };
-    match before {
-        Some(before) if before.flat => ellipse(),
-        Some(_) => circle(),
-        None => {
-            let circle = circle()?;
-            let Some(ellipse) = ellipse() else { return Some(circle) };
-            let count: f64 = heard.iter().map(|h| h.weight).sum();
-            let gain = count * (circle.left / ellipse.left.max(f64::MIN_POSITIVE)).ln();
-            let price = (ellipse.freedom - circle.freedom) * count.ln();
-            Some(if gain > price { ellipse } else { circle })
-        }
+    if let Search::Keep(_) = search {
+        return if was_flat { ellipse() } else { circle() };
     }
+    let circle = circle()?;
+    let Some(ellipse) = ellipse() else { return Some(circle) };
+    let count: f64 = heard.iter().map(|h| h.weight).sum();
+    let gain = count * (circle.left / ellipse.left.max(f64::MIN_POSITIVE)).ln();
+    let price = (ellipse.freedom - circle.freedom) * count.ln();
+    Some(if gain > price { ellipse } else { circle })
 }
 
 /// The line along the middle of the tube; along itself nothing moves it.
-fn fit_centre(tube: &SweptTube, heard: &[Heard], before: Option<&Fitted>) -> Option<Fitted> {
+fn fit_centre(tube: &SweptTube, heard: &[Heard], search: Search) -> Option<Fitted> {
     let along = |i: usize| tube.frames[i].t;
     let row = |h: &Heard| h.direction - along(h.station) * along(h.station).dot(&h.direction);
     let hold = |i: usize| along(i) * along(i).transpose();
     let values = tube.points.clone();
-    Problem { tube, heard, values, outside, row, hold, seen: 2.0, order: 3 }
-        .solve(before.map(|before| before.stiffness))
+    Problem { tube, heard, values, outside, row, hold, seen: 2.0, order: 3 }.solve(search)
 }
 
 impl<Row: Fn(&Heard) -> Vector3<f64>, Hold: Fn(usize) -> Matrix3<f64>> Problem<'_, Row, Hold> {
-    /// The curve of the given stiffness, or of the one that generalised cross-validation chooses; `None` where most
-    /// stations hear no vertex. O(vertices).
-    fn solve(&self, stiffness: Option<f64>) -> Option<Fitted> {
-        /// The stiffest first: of equal ones it is taken.
-        const LADDER: [f64; 8] = [2400.0, 300.0, 40.0, 6.0, 1.0, 0.2, 0.03, 0.005];
+    /// The curve as stiff as generalised cross-validation asks for; `None` where most stations hear no vertex.
+    /// O(vertices).
+    fn solve(&self, search: Search) -> Option<Fitted> {
         let n = self.values.len();
         let mut weights = vec![Matrix3::zeros(); n];
         let mut pulls = vec![Vector3::zeros(); n];
@@ -298,24 +310,26 @@ impl<Row: Fn(&Heard) -> Vector3<f64>, Hold: Fn(usize) -> Matrix3<f64>> Problem<'
         let targets: Vec<Point3<f64>> =
             (0..n).map(|i| self.values[i] + least_squares(&weights[i], &pulls[i])).collect();
         let scaled: Vec<Matrix3<f64>> = (0..n).map(|i| weights[i] / mean + (self.hold)(i)).collect();
-        let tried = |stiffness: f64| {
-            let curve = self.curve(&targets, &scaled, stiffness);
+        let fit = CurveFit::new(&targets, &scaled, &self.tube.along);
+        let tried = |rung: usize| {
+            let stiffness = LADDER[rung];
+            let curve = self.curve(&fit, stiffness);
             let (left, freedom) = (left(&curve), self.seen * self.freedom(stiffness));
             let haze = 4.0 * left * freedom / self.seen / (count * count);
-            Fitted { curve, stiffness, left, freedom, count, haze, flat: false }
+            Fitted { curve, rung, left, freedom, count, haze, flat: false }
         };
-        if let Some(stiffness) = stiffness {
-            return Some(tried(stiffness));
+        match search {
+            Search::Keep(rung) => Some(tried(rung)),
+            Search::Whole => (0..LADDER.len()).map(tried).min_by(|a, b| a.score().total_cmp(&b.score())),
+            Search::From(rung) => Some(better(tried(rung), &tried)),
         }
-        let scored = LADDER.map(tried).into_iter().map(|fitted| (fitted.score(), fitted));
-        scored.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, fitted)| fitted)
     }
 
-    fn curve(&self, targets: &[Point3<f64>], weights: &[Matrix3<f64>], stiffness: f64) -> Vec<Point3<f64>> {
+    fn curve(&self, fit: &CurveFit<'_>, stiffness: f64) -> Vec<Point3<f64>> {
         /// Keeps a bend that no vertex supports from swinging out.
         const SECOND: f64 = 1e-3;
         let (third, second) = if self.order == 3 { (stiffness, SECOND) } else { (0.0, stiffness) };
-        fit_curve(targets, weights, &self.tube.along, |_| third, second)
+        fit.curve(|_| third, second)
     }
 
     /// Trace of the hat matrix for one of the seen directions, as on even spacing.
@@ -338,6 +352,24 @@ impl Fitted {
         let used = PRICE * self.freedom / self.count;
         if used < MOST { self.left / (1.0 - used).powi(2) } else { f64::INFINITY }
     }
+}
+
+/// From one rung upward, or where that is no better downward, as long as the next is better.
+fn better(mut best: Fitted, tried: impl Fn(usize) -> Fitted) -> Fitted {
+    let start = best.rung;
+    for stiffer in (0..start).rev().map(&tried) {
+        if stiffer.score() > best.score() {
+            break;
+        }
+        best = stiffer;
+    }
+    for softer in (start + 1..if best.rung < start { 0 } else { LADDER.len() }).map(&tried) {
+        if softer.score() >= best.score() {
+            break;
+        }
+        best = softer;
+    }
+    best
 }
 
 /// The shortest step that makes the squares least: directions that nothing tells of stay.

@@ -133,6 +133,8 @@ impl SweptTube {
     /// The foot of a point on the cubic of piece `k`, by Newton's method from share `t`.
     pub fn foot(&self, point: &Point3<f64>, k: usize, mut t: f64) -> (f64, OnCubic) {
         const STEPS: usize = 3;
+        /// A step so small, in pieces, is the last: what it leaves is its square.
+        const STILL: f64 = 1e-6;
         /// How far past its piece a foot may lie, in pieces.
         const PAST: f64 = 0.25;
         let (low, high) = self.reach(k);
@@ -140,8 +142,12 @@ impl SweptTube {
             let place = self.at(k, t);
             let arm = point - place.point;
             let square = place.first.norm_squared();
+            let before = t;
             t += arm.dot(&place.first) / (square * place.room(&arm).max(0.2));
             t = t.clamp(low - PAST, high + PAST);
+            if (t - before).abs() < STILL {
+                break;
+            }
         }
         (t, self.at(k, t))
     }

@@ -1,8 +1,7 @@
 //! The wall's vertices beside a tube, each heard by the station next to it.
 
-use std::collections::HashSet;
-
 use nalgebra::{Point3, Vector3};
+use rustc_hash::FxHashSet;
 
 use crate::mesh::preparation::Surface;
 
@@ -47,7 +46,7 @@ pub struct Heard {
 /// The vertices beside the tube that hang together with its stations' sections. O(vertices).
 pub fn wall_beside(surface: &Surface, stations: &[Station], tube: &SweptTube) -> Vec<WallVertex> {
     let mut found: Vec<(u32, usize)> = Vec::new();
-    let mut seen: HashSet<u32> = HashSet::new();
+    let mut seen: FxHashSet<u32> = FxHashSet::default();
     for (number, station) in stations.iter().enumerate() {
         let cut = station.seeds.into_iter().flatten().flat_map(|t| surface.mesh.triangles[t as usize]);
         for v in cut {

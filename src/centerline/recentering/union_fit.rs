@@ -7,7 +7,7 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3};
 
 use crate::centerline::laplacian_smoothing::continuation::Continuation;
-use crate::centerline::recentering::limb::{Foot, Limb};
+use crate::centerline::recentering::limb::{Foot, Limb, LimbWall};
 use crate::centerline::segmentation::track::Bulge;
 
 /// Deviation of the wall from the union that is nothing unusual, and beyond which it is not this joint's, in radii.
@@ -21,7 +21,9 @@ const LEVER: f64 = 0.5;
 const RADIUS: f64 = 0.08;
 const CENTRE: f64 = 1.0;
 const ROUNDS: usize = 6;
-const STEPS: usize = 6;
+/// Steps of a round; of the last, whose result stays, more.
+const STEPS: usize = 2;
+const LAST_STEPS: usize = 8;
 /// A step so small (widest radius) is none.
 const STILL: f64 = 1e-10;
 /// Unknowns of a limb: its third control point and its radius at the centre.
@@ -67,6 +69,8 @@ pub struct UnionFit<'a> {
 struct Share {
     vertex: Point3<f64>,
     limb: usize,
+    /// Where along it.
+    t: f64,
     trust: f64,
 }
 
@@ -81,9 +85,10 @@ impl UnionFit<'_> {
     pub fn solve(&self) -> Option<(Point3<f64>, Vec<Limb>)> {
         let mut limbs: Vec<Limb> = self.starts.iter().map(|start| start.limb).collect();
         let widest = limbs.iter().map(|limb| limb.radii[0]).fold(0.0, f64::max);
-        for _ in 0..ROUNDS {
+        for round in 1..=ROUNDS {
             let shares = self.shares(&limbs);
-            limbs = self.descend(limbs, &shares, STILL * widest)?;
+            let steps = if round < ROUNDS { STEPS } else { LAST_STEPS };
+            limbs = self.descend(limbs, &shares, steps, STILL * widest)?;
         }
         let centre = limbs.first()?.control[3];
         let sound = (centre - self.origin).norm() < 2.0 * widest
@@ -94,10 +99,10 @@ impl UnionFit<'_> {
     }
 
     /// Levenberg and Marquardt's steps, until they are smaller than `still`.
-    fn descend(&self, mut limbs: Vec<Limb>, shares: &[Share], still: f64) -> Option<Vec<Limb>> {
+    fn descend(&self, mut limbs: Vec<Limb>, shares: &[Share], steps: usize, still: f64) -> Option<Vec<Limb>> {
         let mut normal = self.normal(&limbs, shares);
         let mut damping = 1e-4;
-        for _ in 0..STEPS {
+        for _ in 0..steps {
             let mut matrix = normal.matrix.clone();
             for i in 0..matrix.nrows() {
                 matrix[(i, i)] *= 1.0 + damping;
@@ -140,9 +145,9 @@ impl UnionFit<'_> {
 
     /// Whose wall each vertex is, and how far that is to be trusted.
     fn shares(&self, limbs: &[Limb]) -> Vec<Share> {
-        let pieces: Vec<_> = limbs.iter().map(Limb::pieces).collect();
+        let walls: Vec<LimbWall> = limbs.iter().map(Limb::wall).collect();
         let share = |vertex: &Point3<f64>| {
-            let feet = limbs.iter().zip(&pieces).map(|(limb, pieces)| limb.foot(pieces, vertex));
+            let feet = walls.iter().map(|wall| wall.foot(vertex, 0.5));
             let (limb, foot, second) = nearest_two(feet)?;
             let radius = limbs[limb].radii[0];
             // Where two walls meet, sacs' too, the nearer is not surely the vertex's own.
@@ -151,16 +156,17 @@ impl UnionFit<'_> {
             let apart = ((second - foot.outside) / (CREASE * radius)).clamp(0.0, 1.0);
             let lever = ((foot.basis[2] + foot.basis[3]) / LEVER).min(1.0).powi(4);
             let trust = apart * lever / (USUAL * radius).powi(2);
-            (!self.starts[limb].hidden && trust > 0.0).then_some(Share { vertex: *vertex, limb, trust })
+            let t = foot.t;
+            (!self.starts[limb].hidden && trust > 0.0).then_some(Share { vertex: *vertex, limb, t, trust })
         };
         self.wall.iter().filter_map(share).collect()
     }
 
     /// The distances of the wall's vertices from their limbs.
     fn add_wall(&self, limbs: &[Limb], shares: &[Share], normal: &mut Normal) {
-        let pieces: Vec<_> = limbs.iter().map(Limb::pieces).collect();
-        for &Share { vertex, limb, trust } in shares {
-            let foot = limbs[limb].foot(&pieces[limb], &vertex);
+        let walls: Vec<LimbWall> = limbs.iter().map(Limb::wall).collect();
+        for &Share { vertex, limb, t, trust } in shares {
+            let foot = walls[limb].foot(&vertex, t);
             let foreign = foot.outside / (FOREIGN * limbs[limb].radii[0]);
             let usual = 1.0 / (1.0 + foreign * foreign);
             normal.cost += usual * foot.outside * foot.outside * trust;

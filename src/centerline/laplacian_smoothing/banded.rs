@@ -1,0 +1,72 @@
+//! Symmetric band matrices: the normal equations of a curve through points that only neighbours hold together.
+
+/// Half bandwidth: four points of three coordinates take part in a third difference.
+const BAND: usize = 11;
+
+/// A symmetric positive definite band matrix, upper half by rows.
+#[derive(Clone)]
+pub struct Banded {
+    rows: Vec<[f64; BAND + 1]>,
+}
+
+impl Banded {
+    /// Zero, `n` by `n`.
+    pub fn new(n: usize) -> Self {
+        Self { rows: vec![[0.0; BAND + 1]; n] }
+    }
+
+    /// Adds to entry (`row`, `column`) and its mirror; `row <= column <= row + 11`.
+    pub fn add(&mut self, row: usize, column: usize, value: f64) {
+        self.rows[row][column - row] += value;
+    }
+
+    /// Solves for `right`, in place: elimination row by row (LDL', Golub and Van Loan, *Matrix Computations*, 4.3.5).
+    /// O(n).
+    pub fn solve(mut self, right: &mut [f64]) {
+        let n = self.rows.len();
+        for i in 0..n {
+            let (done, after) = self.rows.split_at_mut(i + 1);
+            let row = &mut done[i];
+            row[0] = row[0].max(f64::MIN_POSITIVE);
+            for (k, below) in after.iter_mut().take(BAND).enumerate() {
+                let share = row[k + 1] / row[0];
+                // Coordinates that nothing ties together are many.
+                if share != 0.0 {
+                    below.iter_mut().zip(&row[k + 1..]).for_each(|(entry, own)| *entry -= share * own);
+                    right[i + k + 1] -= share * right[i];
+                }
+            }
+        }
+        for i in (0..n).rev() {
+            let row = &self.rows[i];
+            let known = row[1..].iter().zip(&right[i + 1..]).map(|(entry, value)| entry * value);
+            right[i] = (right[i] - known.sum::<f64>()) / row[0];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{DMatrix, DVector};
+
+    use super::*;
+
+    #[test]
+    fn it_solves_as_a_full_matrix_does() {
+        let n = 40;
+        let mut banded = Banded::new(n);
+        let mut full = DMatrix::zeros(n, n);
+        for row in 0..n {
+            for column in row..(row + BAND + 1).min(n) {
+                let value = if row == column { 30.0 } else { ((3 * row + 5 * column) as f64).sin() };
+                banded.add(row, column, value);
+                (full[(row, column)], full[(column, row)]) = (value, value);
+            }
+        }
+        let right = DVector::from_fn(n, |i, _| (i as f64).cos());
+        let mut solved = right.as_slice().to_vec();
+        banded.solve(&mut solved);
+        let left = full * DVector::from_vec(solved) - right;
+        assert!(left.amax() < 1e-12, "{left} is left");
+    }
+}
