@@ -182,17 +182,21 @@ fn put_together(
 
 /// The part of the work that each component is, by its vertices; `None` for specks.
 fn parts(components: &[Surface]) -> Vec<Option<Part>> {
-    let largest = components.iter().map(Surface::diagonal).fold(0.0, f64::max);
-    let is_speck = |surface: &Surface| surface.diagonal() < SPECK * largest;
-    let vertices = |surface: &Surface| surface.mesh.vertices.len() as f64;
-    let total: f64 = components.iter().filter(|surface| !is_speck(surface)).map(vertices).sum();
+    let diagonals: Vec<f64> = components.iter().map(Surface::diagonal).collect();
+    let largest = diagonals.iter().copied().fold(0.0, f64::max);
+    // Of those that are no speck.
+    let vertices = |(surface, diagonal): (&Surface, &f64)| {
+        (*diagonal >= SPECK * largest).then_some(surface.mesh.vertices.len() as f64)
+    };
+    let counts: Vec<Option<f64>> = components.iter().zip(&diagonals).map(vertices).collect();
+    let total: f64 = counts.iter().flatten().sum();
     let mut before = 0.0;
-    let mut part = |surface: &Surface| {
-        let part = Part { before, share: vertices(surface) / total };
+    let mut part = |count: f64| {
+        let part = Part { before, share: count / total };
         before += part.share;
         part
     };
-    components.iter().map(|surface| (!is_speck(surface)).then(|| part(surface))).collect()
+    counts.into_iter().map(|count| count.map(&mut part)).collect()
 }
 
 fn summary(prepared: &Prepared) -> SurfaceSummary {

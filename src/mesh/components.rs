@@ -1,6 +1,8 @@
 //! The connected components of closed triangles: each a surface of its own, oriented outward, numbered by a walk; those
 //! inside another go.
 
+use rayon::prelude::*;
+
 use super::TriangleMesh;
 use super::cavities::inside_others;
 use super::corner_table::{CornerTable, NONE};
@@ -54,16 +56,16 @@ pub(super) fn split_components<E>(
         let vertex = soup.triangles[triangles[0] as usize][0];
         let vertices = walk(&soup, &opposite, triangles, &mut vertex_name);
         go_on()?;
-        let mut mesh = TriangleMesh { vertices, triangles: Vec::with_capacity(triangles.len()) };
         for (i, &t) in triangles.iter().enumerate() {
             triangle_name[t as usize] = i as u32;
-            mesh.triangles.push(soup.triangles[t as usize].map(|v| vertex_name[v as usize]));
         }
-        let mut local: Vec<u32> = Vec::with_capacity(3 * triangles.len());
-        for h in triangles.iter().flat_map(|&t| 3 * t..3 * t + 3) {
-            let o = opposite[h as usize];
-            local.push(3 * triangle_name[(o / 3) as usize] + o % 3);
-        }
+        let renamed = |&t: &u32| soup.triangles[t as usize].map(|v| vertex_name[v as usize]);
+        let local = |h: usize| {
+            let o = opposite[(3 * triangles[h / 3]) as usize + h % 3];
+            3 * triangle_name[(o / 3) as usize] + o % 3
+        };
+        let mut mesh = TriangleMesh { vertices, triangles: triangles.par_iter().map(renamed).collect() };
+        let mut local: Vec<u32> = (0..3 * triangles.len()).into_par_iter().map(local).collect();
         go_on()?;
         let inverted = signed_volume(&mesh) < 0.0;
         if inverted {

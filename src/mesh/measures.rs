@@ -1,8 +1,12 @@
 //! Size of a mesh: diagonal, area, volume.
 
 use nalgebra::Vector3;
+use rayon::prelude::*;
 
 use super::TriangleMesh;
+
+/// Triangles that one thread takes at a time.
+const RUN: usize = 1 << 14;
 
 /// Diagonal of the bounding box of the vertices in use.
 pub fn diagonal(mesh: &TriangleMesh) -> f64 {
@@ -12,13 +16,14 @@ pub fn diagonal(mesh: &TriangleMesh) -> f64 {
 
 /// Least and greatest coordinates of the vertices in use.
 pub fn bounds(mesh: &TriangleMesh) -> [Vector3<f64>; 2] {
-    let mut low = Vector3::repeat(f64::INFINITY);
-    let mut high = Vector3::repeat(f64::NEG_INFINITY);
-    for &v in mesh.triangles.iter().flatten() {
-        low = low.inf(&mesh.vertices[v as usize].coords);
-        high = high.sup(&mesh.vertices[v as usize].coords);
-    }
-    [low, high]
+    let nothing = [Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY)];
+    let widened = |[low, high]: [Vector3<f64>; 2], v: &u32| {
+        let place = &mesh.vertices[*v as usize].coords;
+        [low.inf(place), high.sup(place)]
+    };
+    let of_run = |run: &[[u32; 3]]| run.iter().flatten().fold(nothing, widened);
+    let runs = mesh.triangles.par_chunks(RUN).map(of_run);
+    runs.reduce(|| nothing, |a, b| [a[0].inf(&b[0]), a[1].sup(&b[1])])
 }
 
 /// Volume by the divergence theorem, about the first vertex so that frames far off lose no digits.
@@ -28,7 +33,7 @@ pub fn signed_volume(mesh: &TriangleMesh) -> f64 {
         let [a, b, c] = t.map(|v| mesh.vertices[v as usize] - origin);
         a.dot(&b.cross(&c))
     };
-    mesh.triangles.iter().map(of).sum::<f64>() / 6.0
+    sum(mesh, of) / 6.0
 }
 
 pub fn area(mesh: &TriangleMesh, triangle: &[u32; 3]) -> f64 {
@@ -38,5 +43,11 @@ pub fn area(mesh: &TriangleMesh, triangle: &[u32; 3]) -> f64 {
 
 /// Area of all triangles, in squared units of the input.
 pub fn total_area(mesh: &TriangleMesh) -> f64 {
-    mesh.triangles.iter().map(|triangle| area(mesh, triangle)).sum()
+    sum(mesh, |triangle| area(mesh, triangle))
+}
+
+/// Over all triangles; in runs, so that it is the same on any number of threads.
+fn sum(mesh: &TriangleMesh, of: impl Fn(&[u32; 3]) -> f64 + Sync) -> f64 {
+    let of_run = |run: &[[u32; 3]]| run.iter().map(&of).sum::<f64>();
+    mesh.triangles.par_chunks(RUN).map(of_run).collect::<Vec<f64>>().into_iter().sum()
 }

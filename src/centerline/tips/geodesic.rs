@@ -5,6 +5,7 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use nalgebra::Point3;
+use rayon::prelude::*;
 
 use crate::mesh::corner_table::CornerTable;
 use crate::mesh::preparation::Opening;
@@ -30,15 +31,29 @@ pub struct EdgeGraph {
 impl EdgeGraph {
     /// The edges of a closed surface. O(n).
     pub fn new(vertices: &[Point3<f64>], corners: &CornerTable) -> Self {
+        /// Vertices that one thread takes at a time.
+        const RUN: usize = 4096;
+        let links_of = |v: u32| {
+            let length = move |u: u32| (vertices[u as usize] - vertices[v as usize]).norm();
+            corners.neighbours(v).map(move |u| (u, length(u) as f32))
+        };
+        let run = |first: usize| {
+            let mut ends = Vec::with_capacity(RUN);
+            let mut links = Vec::with_capacity(6 * RUN);
+            for v in first..(first + RUN).min(vertices.len()) {
+                links.extend(links_of(v as u32));
+                ends.push(links.len() as u32);
+            }
+            (ends, links)
+        };
+        let runs: Vec<_> = (0..vertices.len()).into_par_iter().step_by(RUN).map(run).collect();
         let mut start = Vec::with_capacity(vertices.len() + 1);
         let mut links = Vec::with_capacity(corners.half_edges());
         start.push(0);
-        for v in 0..vertices.len() as u32 {
-            for u in corners.neighbours(v) {
-                let length = (vertices[u as usize] - vertices[v as usize]).norm();
-                links.push((u, length as f32));
-            }
-            start.push(links.len() as u32);
+        for (ends, own) in runs {
+            let before = links.len() as u32;
+            start.extend(ends.into_iter().map(|end| before + end));
+            links.extend(own);
         }
         Self { start, links }
     }
@@ -103,6 +118,20 @@ impl EdgeGraph {
 /// # Errors
 /// [`ExtractError::Cancelled`].
 pub fn geodesic(graph: &EdgeGraph, sources: &[u32], cancel: &CancelToken) -> Result<Geodesic, ExtractError> {
+    geodesic_told(graph, sources, cancel, |_| ())
+}
+
+/// The same; `told` hears of the vertices reached, some thousands at a time, as they are.
+///
+/// # Errors
+/// [`ExtractError::Cancelled`].
+pub fn geodesic_told(
+    graph: &EdgeGraph,
+    sources: &[u32],
+    cancel: &CancelToken,
+    mut told: impl FnMut(&[u32]),
+) -> Result<Geodesic, ExtractError> {
+    const RUN: usize = 8192;
     let mut distance = vec![f64::INFINITY; graph.vertices()];
     let mut order = Vec::with_capacity(graph.vertices());
     // Non-negative doubles sort like their bits; the vertex number breaks ties.
@@ -119,8 +148,9 @@ pub fn geodesic(graph: &EdgeGraph, sources: &[u32], cancel: &CancelToken) -> Res
             continue;
         }
         order.push(v);
-        if order.len().is_multiple_of(8192) {
+        if order.len().is_multiple_of(RUN) {
             cancel.check()?;
+            told(&order[order.len() - RUN..]);
         }
         for &(u, length) in graph.neighbours(v) {
             let through = reached + f64::from(length);
@@ -130,5 +160,6 @@ pub fn geodesic(graph: &EdgeGraph, sources: &[u32], cancel: &CancelToken) -> Res
             }
         }
     }
+    told(&order[order.len() / RUN * RUN..]);
     Ok(Geodesic { distance, order })
 }

@@ -5,11 +5,15 @@
 //! the surface has handles, by construction (Cole-McLaughlin et al., *Loops in Reeb graphs of
 //! 2-manifolds*, 2004), and so has every centerline that is made by moving its points.
 
+use std::sync::mpsc;
+
 use nalgebra::Point3;
+use rayon::prelude::*;
 
 use crate::mesh::corner_table::{CornerTable, NONE, next};
+use crate::mesh::preparation::Surface;
 
-use crate::centerline::tips::geodesic::Geodesic;
+use crate::centerline::tips::geodesic::{EdgeGraph, Geodesic, geodesic_told};
 use crate::centerline::{CancelToken, ExtractError};
 
 /// A critical point of the function.
@@ -51,59 +55,95 @@ pub struct ReebGraph {
     pub order: Vec<u32>,
 }
 
-/// Sweeps a level upward through the surface and follows the components of its level set.
+/// The Reeb graph of the geodesic distance from `sources`, whose distances are measured along `edges`.
 ///
-/// On an oriented closed surface each component is one cycle of crossed edges; regular vertices
-/// hand their component on, saddles are resolved by walking the cycles anew.
-/// O(n + saddles x cycle length). Source: sweep of Morse functions on 2-manifolds.
+/// The sweep follows the front that measures on a thread of its own. O(n log n).
 ///
 /// # Errors
 /// [`ExtractError::Cancelled`].
 pub fn reeb_graph(
-    vertices: &[Point3<f64>],
-    corners: &CornerTable,
-    geodesic: Geodesic,
+    surface: &Surface,
+    edges: &EdgeGraph,
+    sources: &[u32],
     cancel: &CancelToken,
 ) -> Result<ReebGraph, ExtractError> {
-    let mut rank = vec![u32::MAX; vertices.len()];
-    for (place, &v) in geodesic.order.iter().enumerate() {
-        rank[v as usize] = place as u32;
-    }
-    let mut sweep = Sweep {
-        vertices,
-        corners,
-        label: vec![NONE; corners.half_edges()],
-        graph: ReebGraph { rank, function: geodesic.distance, order: geodesic.order, ..ReebGraph::default() },
-        star: Vec::new(),
+    let (tell, hear) = mpsc::channel();
+    // That nobody hears any more means that the sweep panicked, which `join` tells.
+    let measure = move || geodesic_told(edges, sources, cancel, |reached| drop(tell.send(reached.to_vec())));
+    let follow = move || {
+        let mut sweep = Sweep::new(&surface.corners);
+        hear.into_iter().flatten().for_each(|v| sweep.pass(v));
+        sweep
     };
-    for place in 0..sweep.graph.order.len() {
-        if place.is_multiple_of(8192) {
-            cancel.check()?;
-        }
-        sweep.pass(sweep.graph.order[place]);
+    let (geodesic, sweep) = rayon::join(measure, follow);
+    let Geodesic { distance, order } = geodesic?;
+    let Sweep { mut nodes, mut arcs, rank, .. } = sweep;
+    for node in &mut nodes {
+        node.level = distance[node.vertex as usize];
     }
-    Ok(sweep.graph)
+    let measured = |arc: &mut ReebArc| {
+        let (vertices, corners) = (&surface.mesh.vertices, &surface.corners);
+        arc.base_length = cycle_length(vertices, corners, (&rank, &distance), arc.start);
+    };
+    arcs.par_iter_mut().for_each(measured);
+    Ok(ReebGraph { nodes, arcs, rank, function: distance, order })
 }
 
-/// The level of a sweep and the arcs that cross it.
+/// Length of the level set component just above the vertex that the upward half-edge `start` leaves.
+fn cycle_length(
+    vertices: &[Point3<f64>],
+    corners: &CornerTable,
+    (rank, function): (&[u32], &[f64]),
+    start: u32,
+) -> f64 {
+    let v = corners.origin(start) as usize;
+    let walk = LevelWalk::new(corners, rank, rank[v], start);
+    let mut points = walk.map(|h| crossing(vertices, corners, function, h, function[v]));
+    let Some(first) = points.next() else { return 0.0 };
+    let (last, length) =
+        points.fold((first, 0.0), |(last, length), point| (point, length + (point - last).norm()));
+    length + (first - last).norm()
+}
+
+/// A level that sweeps upward through the surface, and the components of its level set.
+///
+/// On an oriented closed surface each component is one cycle of crossed edges; regular vertices
+/// hand their component on, saddles are resolved by walking the cycles anew.
+/// O(n + saddles x cycle length). Source: sweep of Morse functions on 2-manifolds.
 struct Sweep<'a> {
-    vertices: &'a [Point3<f64>],
     corners: &'a CornerTable,
     /// Per edge (see [`CornerTable::edge`]) that crosses the level: its arc.
     label: Vec<u32>,
-    graph: ReebGraph,
+    /// Place of each vertex passed; above the level the greatest number.
+    rank: Vec<u32>,
+    passed: u32,
+    /// Their levels and lengths are not known yet.
+    nodes: Vec<ReebNode>,
+    arcs: Vec<ReebArc>,
     star: Vec<(u32, bool)>,
 }
 
-impl Sweep<'_> {
+impl<'a> Sweep<'a> {
+    fn new(corners: &'a CornerTable) -> Self {
+        Self {
+            corners,
+            label: vec![NONE; corners.half_edges()],
+            rank: vec![u32::MAX; corners.vertices()],
+            passed: 0,
+            nodes: Vec::new(),
+            arcs: Vec::new(),
+            star: Vec::new(),
+        }
+    }
+
     /// Moves the level from just below `v` to just above it.
     fn pass(&mut self, v: u32) {
-        let own = self.graph.rank[v as usize];
+        let own = self.passed;
+        self.passed += 1;
+        self.rank[v as usize] = own;
         let mut star = std::mem::take(&mut self.star);
         star.clear();
-        star.extend(
-            self.corners.star(v).map(|h| (h, self.graph.rank[self.corners.target(h) as usize] > own)),
-        );
+        star.extend(self.corners.star(v).map(|h| (h, self.rank[self.corners.target(h) as usize] > own)));
         let changes = (0..star.len()).filter(|&i| star[i].1 != star[(i + 1) % star.len()].1).count();
         let regular = changes == 2;
         if regular {
@@ -113,7 +153,7 @@ impl Sweep<'_> {
                     self.label[self.corners.edge(h) as usize] = below;
                 }
             }
-            self.graph.arcs[below as usize].vertices.push(v);
+            self.arcs[below as usize].vertices.push(v);
         } else {
             self.pass_critical(v, &star);
         }
@@ -126,27 +166,26 @@ impl Sweep<'_> {
 
     /// Ends the arcs below a critical vertex and starts those above it.
     fn pass_critical(&mut self, v: u32, star: &[(u32, bool)]) {
-        let node = self.graph.nodes.len() as u32;
-        self.graph.nodes.push(ReebNode { vertex: v, level: self.graph.function[v as usize] });
+        let node = self.nodes.len() as u32;
+        self.nodes.push(ReebNode { vertex: v, level: f64::NAN });
         for &(h, above) in star {
             if !above {
                 let arc = self.label_of(h);
-                self.graph.arcs[arc as usize].upper = node;
+                self.arcs[arc as usize].upper = node;
             }
         }
-        let first_new = self.graph.arcs.len() as u32;
+        let first_new = self.arcs.len() as u32;
         for &(h, above) in star {
             let edge = self.corners.edge(h) as usize;
             let fresh = self.label[edge] != NONE && self.label[edge] >= first_new;
             if above && !fresh {
-                let arc = self.graph.arcs.len() as u32;
-                let (base_length, base_edges) = self.relabel_cycle(h, arc);
-                self.graph.arcs.push(ReebArc {
+                let base_edges = self.relabel_cycle(h, self.arcs.len() as u32);
+                self.arcs.push(ReebArc {
                     lower: node,
                     upper: NONE,
                     start: h,
                     vertices: Vec::new(),
-                    base_length,
+                    base_length: f64::NAN,
                     base_edges,
                 });
             }
@@ -154,26 +193,15 @@ impl Sweep<'_> {
     }
 
     /// Gives the level set component just above the critical vertex, through its upward half-edge
-    /// `start`, the name `arc`; returns its length
-    /// and how many edges it crosses.
-    fn relabel_cycle(&mut self, start: u32, arc: u32) -> (f64, u32) {
-        let v = self.corners.origin(start);
-        let (level, own) = (self.graph.function[v as usize], self.graph.rank[v as usize]);
-        let (mut length, mut edges) = (0.0, 0);
-        let mut first = None;
-        let mut last = self.vertices[v as usize];
-        for h in LevelWalk::new(self.corners, &self.graph.rank, own, start) {
+    /// `start`, the name `arc`; returns how many edges it crosses.
+    fn relabel_cycle(&mut self, start: u32, arc: u32) -> u32 {
+        let own = self.rank[self.corners.origin(start) as usize];
+        let mut edges = 0;
+        for h in LevelWalk::new(self.corners, &self.rank, own, start) {
             self.label[self.corners.edge(h) as usize] = arc;
             edges += 1;
-            let point = crossing(self.vertices, self.corners, &self.graph.function, h, level);
-            if first.is_none() {
-                first = Some(point);
-            } else {
-                length += (point - last).norm();
-            }
-            last = point;
         }
-        (length + first.map_or(0.0, |point| (point - last).norm()), edges)
+        edges
     }
 }
 

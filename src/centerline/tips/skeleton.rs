@@ -35,15 +35,12 @@ pub fn skeleton(
 ) -> Result<(ReebGraph, Branching), ExtractError> {
     let cancel = &control.cancel;
     let choice = Choice { keeps_root: picks.root.is_some(), ..Choice::by_height(tip_height) };
-    let (mesh, corners) = (&surface.mesh, &surface.corners);
-    let mut edges = EdgeGraph::new(&mesh.vertices, corners);
+    let mut edges = EdgeGraph::new(&surface.mesh.vertices, &surface.corners);
     edges.raise(&surface.openings);
     let anywhere = geodesic(&edges, &[0], cancel)?;
     control.report(Stage::Tips, 0.2)?;
     let source = farthest(&anywhere.distance);
-    let distance = geodesic(&edges, &[source], cancel)?;
-    control.report(Stage::Tips, 0.4)?;
-    let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
+    let graph = reeb_graph(surface, &edges, &[source], cancel)?;
     let first = chains(surface, &graph, &choice, cancel)?;
     control.report(Stage::Segmentation, 0.0)?;
     let seen = match picks.root {
@@ -65,8 +62,7 @@ pub fn skeleton(
     let Kept { leaves, raised } = keep(surface, &graph, &branching, &picks.include);
     let choice = Choice { kept: &leaves, excluded: &picks.exclude, ..choice };
     edges.raise_vertices(&raised);
-    let distance = geodesic(&edges, &[source], cancel)?;
-    let graph = reeb_graph(&mesh.vertices, corners, distance, cancel)?;
+    let graph = reeb_graph(surface, &edges, &[source], cancel)?;
     let branching = chains(surface, &graph, &choice, cancel)?;
     Ok((graph, Branching { raised, ..branching }))
 }
@@ -82,8 +78,7 @@ fn best_view(
     let view = |root: &Root| {
         let mut edges = edges.clone();
         edges.shrink(&root.cap);
-        let distance = geodesic(&edges, &[root.vertex], &control.cancel)?;
-        let graph = reeb_graph(&surface.mesh.vertices, &surface.corners, distance, &control.cancel)?;
+        let graph = reeb_graph(surface, &edges, &[root.vertex], &control.cancel)?;
         let branching = chains(surface, &graph, choice, &control.cancel)?;
         Ok(View { graph, branching, edges, source: root.vertex })
     };
