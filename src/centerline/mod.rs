@@ -117,6 +117,7 @@ fn component(
         Preset::Default => preset_default::extract_component(&grid, parameters, picks, control),
         Preset::Paper => preset_paper::extract_component(surface, diagonal, parameters, picks, control),
     }?;
+    graph.check_numbers()?;
     if let Some(root) = picks.root {
         orientation::tell_from(&mut graph, &surface.mesh.vertices[root.vertex as usize]);
     }
