@@ -6,16 +6,19 @@ mod jwt;
 mod keys;
 mod ring;
 
+use std::panic::{AssertUnwindSafe, resume_unwind};
 use std::sync::Arc;
 
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, Method, header};
+use axum::http::{HeaderMap, Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use futures::FutureExt;
+use tokio_util::sync::CancellationToken;
 
 use super::App;
 use super::audit::Occurrence;
-use super::problem::{FORBIDDEN, Problem, UNAUTHENTICATED};
+use super::problem::{FORBIDDEN, INTERNAL_ERROR, Problem, UNAUTHENTICATED};
 use super::trace::job_in_path;
 use crate::jobs::JobId;
 
@@ -77,22 +80,53 @@ impl Caller {
     }
 }
 
-/// Lets a request for `/v1` or `/metrics` through, and tells the audit trail of it, once its caller is known and may do what it asks for.
+/// Cancelled when the client of a request no longer waits for its answer.
+#[derive(Debug, Clone)]
+pub struct Left(pub CancellationToken);
+
+/// Lets a request for `/v1` or `/metrics` through, and tells the audit trail of it, once its caller is known and may do what
+/// it asks for.
+///
+/// What may change something has a task of its own: it is done and told to its end, also when the client hangs up.
 pub async fn admit(State(app): State<App>, mut request: Request, next: Next) -> Response {
-    let path = request.uri().path().to_owned();
+    let path = request.uri().path();
     if !path.starts_with("/v1/") && path != "/metrics" {
         return next.run(request).await;
     }
+    if request.method().is_safe() {
+        return answered(app, request, next).await;
+    }
+    let left = CancellationToken::new();
+    request.extensions_mut().insert(Left(left.clone()));
+    let _left = left.drop_guard();
+    match tokio::spawn(answered(app, request, next)).await {
+        Ok(response) => response,
+        Err(error) => match error.try_into_panic() {
+            // On to where panics become answers.
+            Ok(panic) => resume_unwind(panic),
+            Err(_) => {
+                Problem::new(&INTERNAL_ERROR, "the service ends; send the request again").into_response()
+            }
+        },
+    }
+}
+
+/// The answer, with its line in the trail.
+async fn answered(app: App, mut request: Request, next: Next) -> Response {
+    let path = request.uri().path().to_owned();
     let (method, peer) = (request.method().clone(), request.extensions().get().copied());
-    let (response, caller) = match check(&app, &method, request.headers()).await {
+    let (outcome, caller) = match check(&app, &method, request.headers()).await {
         Ok(caller) => {
             request.extensions_mut().insert(caller.clone());
-            (next.run(request).await, Some(caller))
+            (AssertUnwindSafe(next.run(request)).catch_unwind().await, Some(caller))
         }
-        Err(Refused { problem, caller }) => (problem.into_response(), caller),
+        Err(Refused { problem, caller }) => (Ok(problem.into_response()), caller),
     };
-    let job = job_in_path(&path).or_else(|| response.extensions().get::<JobId>().copied());
-    let status = response.status();
+    let (status, named) = match &outcome {
+        Ok(response) => (response.status(), response.extensions().get::<JobId>().copied()),
+        Err(_) => (StatusCode::INTERNAL_SERVER_ERROR, None),
+    };
+    let job = job_in_path(&path).or(named);
     // Written off the async threads, and before the answer begins.
     let told = tokio::task::spawn_blocking(move || {
         let user = caller.as_ref().and_then(Caller::owner);
@@ -103,7 +137,7 @@ pub async fn admit(State(app): State<App>, mut request: Request, next: Next) -> 
     if let Err(error) = told.await {
         tracing::error!(%error, "the audit trail cannot be added to");
     }
-    response
+    outcome.unwrap_or_else(|panic| resume_unwind(panic))
 }
 
 /// Why a request is not let in, and whose it is where that is known.

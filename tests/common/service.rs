@@ -4,6 +4,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex, mpsc};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use reqwest::{Client, RequestBuilder, Response, StatusCode};
@@ -26,14 +27,19 @@ pub struct Service {
 /// `rosaline serve` on a free port, without settings from this process's environment.
 pub fn command(data: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
-    for (name, _) in std::env::vars_os().filter(|(name, _)| name.as_encoded_bytes().starts_with(b"ROSALINE_"))
-    {
-        command.env_remove(name);
-    }
+    without_settings(&mut command);
     // As variables, so that a test's flags override them.
     command.arg("serve").env("ROSALINE_LISTEN", "127.0.0.1:0").env("ROSALINE_DATA", data);
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     command
+}
+
+/// Takes away what this process's environment would set.
+pub fn without_settings(command: &mut Command) {
+    let is_one = |name: &[u8]| name.starts_with(b"ROSALINE_") || name.starts_with(b"OTEL_");
+    for (name, _) in std::env::vars_os().filter(|(name, _)| is_one(name.as_encoded_bytes())) {
+        command.env_remove(name);
+    }
 }
 
 impl Service {
@@ -58,10 +64,11 @@ impl Service {
     pub fn try_start(command: &mut Command, data: Arc<TempDir>) -> Result<Self, String> {
         let mut child = command.spawn().unwrap();
         let log = Arc::new(Mutex::new(String::new()));
-        collect(child.stderr.take().unwrap(), log.clone());
+        let collected = collect(child.stderr.take().unwrap(), log.clone());
         let Some(line) = first_line(child.stdout.take().unwrap()) else {
             child.kill().ok();
             child.wait().ok();
+            collected.join().unwrap();
             return Err(log.lock().unwrap().clone());
         };
         let url = line.trim().strip_prefix("listening on ").unwrap().to_owned();
@@ -262,14 +269,15 @@ fn first_line(stdout: impl Read + Send + 'static) -> Option<String> {
     receiver.recv_timeout(PATIENCE).ok()
 }
 
-fn collect(stderr: impl Read + Send + 'static, log: Arc<Mutex<String>>) {
+/// Ends when nobody writes any more.
+fn collect(stderr: impl Read + Send + 'static, log: Arc<Mutex<String>>) -> JoinHandle<()> {
     std::thread::spawn(move || {
         for line in BufReader::new(stderr).lines().map_while(Result::ok) {
             let mut log = log.lock().unwrap();
             log.push_str(&line);
             log.push('\n');
         }
-    });
+    })
 }
 
 /// Asserts a problem body of this kind and status; the body.

@@ -8,11 +8,12 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::meshes;
-use crate::service::{Service, command, problem};
+use crate::service::{Service, command, problem, without_settings};
 
 fn keys(data: &TempDir, arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
-    command.env_remove("ROSALINE_KEYS").env("ROSALINE_DATA", data.path());
+    without_settings(&mut command);
+    command.env("ROSALINE_DATA", data.path());
     command.arg("keys").args(arguments).output().unwrap()
 }
 

@@ -1,9 +1,12 @@
 //! The audit trail and the metrics.
 
+use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
+
 use serde_json::Value;
 
-use crate::meshes;
-use crate::service::Service;
+use crate::service::{PATIENCE, Service};
+use crate::{meshes, wire};
 
 fn trail(service: &Service) -> Vec<Value> {
     let text = std::fs::read_to_string(service.data().join("audit.jsonl")).unwrap();
@@ -67,4 +70,45 @@ async fn who_did_what_to_which_job_is_told_and_stays_told() {
     ];
     assert_eq!(lines.iter().map(told).collect::<Vec<_>>(), expected);
     assert!(!std::fs::read_to_string(service.data().join("audit.jsonl")).unwrap().contains(key.trim()));
+}
+
+#[tokio::test]
+async fn a_client_that_hangs_up_is_told_of_too() {
+    let service = Service::start(&["--workers", "1"]);
+    let ids = async || -> BTreeSet<String> {
+        let list: Value = service.get("/v1/jobs").send().await.unwrap().json().await.unwrap();
+        list["jobs"].as_array().unwrap().iter().map(|job| job["id"].as_str().unwrap().to_owned()).collect()
+    };
+    let leave = |request: &str, body: &[u8]| {
+        // All of it, and away at once; one of them waits for the job's end.
+        wire::Client::new(service.address()).leave_after(request, body, usize::MAX).unwrap();
+    };
+    let mesh = meshes::small();
+    for _ in 0..8 {
+        leave("POST /v1/jobs", &mesh);
+    }
+    leave("POST /v1/jobs?smoothing=true HTTP/1.1\r\nPrefer: wait=60\r\nX-Rest:", &meshes::large());
+    let imported = || -> BTreeSet<String> {
+        let lines = trail(&service);
+        lines.iter().map(told).filter(|line| line.0 == "Import").filter_map(|line| line.4).collect()
+    };
+    let begin = Instant::now();
+    while imported().len() < 9 {
+        assert!(begin.elapsed() < PATIENCE, "{:?}: {}", trail(&service), service.log());
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    assert_eq!(imported(), ids().await);
+    // The last one is told of before its job's end.
+    let last = imported().into_iter().next_back().unwrap();
+    let status = service.status(&format!("/v1/jobs/{last}")).await;
+    assert!(matches!(status["status"].as_str(), Some("accepted" | "running")), "{status}");
+
+    leave(&format!("DELETE /v1/jobs/{last}"), b"");
+    service.until(&format!("/v1/jobs/{last}"), |status| status["status"] == "dismissed").await;
+    let deleted = |line: &Value| told(line).1 == "D" && told(line).4.as_ref() == Some(&last);
+    let begin = Instant::now();
+    while !trail(&service).iter().any(deleted) {
+        assert!(begin.elapsed() < PATIENCE, "{:?}", trail(&service));
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
 }

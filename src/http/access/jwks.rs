@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 use std::str::FromStr;
-use std::sync::{PoisonError, RwLock};
+use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 use jsonwebtoken::jwk::{Jwk, PublicKeyUse};
@@ -82,7 +82,7 @@ enum Place {
     Url {
         client: Client,
         /// When an unknown key last made the keys be fetched. Held meanwhile: those that come then wait for it.
-        asked: Mutex<Option<Instant>>,
+        asked: Arc<Mutex<Option<Instant>>>,
     },
 }
 
@@ -108,14 +108,18 @@ impl Jwks {
             }
             JwksSource::Url(url) => {
                 let client = Client::new(url, PATIENCE)?;
-                (Place::Url { client, asked: Mutex::new(None) }, State::default())
+                (Place::Url { client, asked: Arc::default() }, State::default())
             }
         };
         Ok(Self { source, state: RwLock::new(state) })
     }
 
     /// The key for a token that names `id` and `algorithm`; without an id, the only one of the set that fits.
-    pub(super) async fn find(&self, id: Option<&str>, algorithm: Algorithm) -> Option<DecodingKey> {
+    pub(super) async fn find(
+        self: &Arc<Self>,
+        id: Option<&str>,
+        algorithm: Algorithm,
+    ) -> Option<DecodingKey> {
         if let Place::File(path) = &self.source {
             self.renew(path);
         }
@@ -123,11 +127,17 @@ impl Jwks {
             return Some(key);
         }
         let Place::Url { asked, .. } = &self.source else { return None };
-        let mut asked = asked.lock().await;
+        let mut asked = asked.clone().lock_owned().await;
         if asked.is_none_or(|asked| asked.elapsed() >= ASK) {
-            // What comes of it is logged.
-            self.fetch().await;
             *asked = Some(Instant::now());
+            let keys = self.clone();
+            // A task of its own, which holds the lock: a client that hangs up neither breaks the fetch off nor frees the
+            // way to the next one. What comes of it is logged.
+            let fetched = tokio::spawn(async move {
+                keys.fetch().await;
+                drop(asked);
+            });
+            fetched.await.ok();
         }
         self.known(id, algorithm)
     }

@@ -7,7 +7,7 @@ use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
-use super::super::access::Caller;
+use super::super::access::{Caller, Left};
 use super::super::document::{self, SubmitProblems};
 use super::super::idempotency::{self, Claim};
 use super::super::representation::{StatusDocument, job_path};
@@ -45,6 +45,7 @@ pub async fn submit(State(app): State<App>, caller: Caller, request: Request) ->
     admission::room(&app, &caller).await?;
     let place = admission::place(&app)?;
     let span = request.extensions().get::<Span>().cloned().unwrap_or_default();
+    let left = request.extensions().get::<Left>().cloned();
     let receiving = span.child("receive");
     let mut received = upload::receive(&app, request).await?;
     drop((place, receiving));
@@ -57,7 +58,7 @@ pub async fn submit(State(app): State<App>, caller: Caller, request: Request) ->
     drop(span);
     drop(claim);
     let job = match wait {
-        Some(limit) => until_ended(&app, job, limit).await,
+        Some(limit) => until_ended(&app, job, limit, left).await,
         None => job,
     };
     Ok(created(&job, wait))
@@ -122,12 +123,19 @@ fn request_id(headers: &HeaderMap, most: usize) -> Option<String> {
     fits.then(|| text.to_owned())
 }
 
-/// The job once it has ended, after `limit`, or when the service shuts down, whichever is first.
+/// The job once it has ended, after `limit`, when nobody waits for it, or when the service shuts down, whichever is first.
 ///
 /// The job is accepted by now, so nothing that fails here may turn the answer into an error.
-async fn until_ended(app: &App, job: Job, limit: Duration) -> Job {
+async fn until_ended(app: &App, job: Job, limit: Duration, left: Option<Left>) -> Job {
+    let is_left = async {
+        match &left {
+            Some(Left(left)) => left.cancelled().await,
+            None => std::future::pending().await,
+        }
+    };
     tokio::select! {
         ended = app.jobs().wait(job.id, limit) => ended.unwrap_or(job),
+        () = is_left => job,
         () = app.closing().cancelled() => app.jobs().status(job.id).await.unwrap_or(job),
     }
 }
