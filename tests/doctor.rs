@@ -23,10 +23,7 @@ use sqlx::{AnyConnection, Connection};
 /// `rosaline doctor`, without settings from this process's environment.
 fn doctor(data: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
-    for (name, _) in std::env::vars_os().filter(|(name, _)| name.as_encoded_bytes().starts_with(b"ROSALINE_"))
-    {
-        command.env_remove(name);
-    }
+    service::without_settings(&mut command);
     command.arg("doctor").env("ROSALINE_LISTEN", "127.0.0.1:0").env("ROSALINE_DATA", data);
     command
 }
@@ -120,7 +117,8 @@ async fn a_folder_that_cannot_be_used_is_told() {
     disk.fill();
     wrong(&mut doctor(disk.path()), "cannot be written");
     disk.free();
-    assert!(asked(&mut doctor(disk.path())).0);
+    assert!(asked(doctor(disk.path()).args(["--max-upload", "1MiB"])).0);
+    wrong(&mut doctor(disk.path()), "GiB are free on the data folder's disk and one mesh may have 1.0");
 }
 
 #[tokio::test]
@@ -128,6 +126,10 @@ async fn a_database_that_cannot_be_used_is_told() {
     let data = used().await;
     changed(data.path(), "UPDATE jobs SET created = created + 100000000000").await;
     wrong(&mut doctor(data.path()), "ahead of this machine's clock");
+    let data = used().await;
+    changed(data.path(), "UPDATE jobs SET created = created - 864000000").await;
+    let (well, said) = asked(&mut doctor(data.path()));
+    assert!(well && said.contains("no job came for 10 days"), "{said}");
     let data = used().await;
     let newer = "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) \
                  VALUES (9999, 'later', TRUE, x'00', 0)";
@@ -195,6 +197,21 @@ async fn tokens_certificates_and_targets_that_do_not_fit_are_told() {
     assert!(!said.contains("no key was made") && !said.contains("--insecure"), "{said}");
     let none = file("none.pem", "");
     wrong(doctor(data.path()).args(["--tls-cert", &none, "--tls-key", &none]), "holds no certificate");
+    let expiring = |days: i64| {
+        let mut parameters = rcgen::CertificateParams::new(vec!["127.0.0.1".to_owned()]).unwrap();
+        parameters.not_after =
+            time::OffsetDateTime::now_utc() + time::Duration::days(days) + time::Duration::HOUR;
+        let key = rcgen::KeyPair::generate().unwrap();
+        let cert = file("cert.pem", &parameters.self_signed(&key).unwrap().pem());
+        let key = file("key.pem", &key.serialize_pem());
+        asked(doctor(data.path()).args(["--tls-cert", &cert, "--tls-key", &key]))
+    };
+    assert!(expiring(40).0);
+    for (days, word) in [(9, "in 9 days"), (-9, "has expired")] {
+        let (well, said) = expiring(days);
+        assert!(!well && said.contains("WRONG  the TLS certificate") && said.contains(word), "{said}");
+    }
+    wrong(doctor(data.path()).args(["--webhooks", "/nowhere/targets.json"]), "targets.json is not there");
     file("webhooks.json", "{");
     wrong(&mut doctor(data.path()), "add the targets again");
 }
@@ -206,6 +223,9 @@ async fn limits_that_do_not_fit_are_told() {
     wrong(doctor(data.path()).args(["--audit", "/nowhere/audit.jsonl"]), "the audit trail");
     let (well, said) = asked(doctor(data.path()).args(["--max-memory", "100000GiB"]));
     assert!(well && said.contains("lower --max-memory"), "{said}");
+    wrong(doctor(data.path()).args(["--max-upload", "1000000GiB"]), "are free on the data folder's disk");
+    let (_, said) = asked(doctor(data.path()).args(["--max-upload", "1MiB", "--max-uploads", "1000000000"]));
+    assert!(said.contains("note   ") && said.contains("of the largest meshes"), "{said}");
     let program = env!("CARGO_BIN_EXE_rosaline");
     let mut shell = Command::new("sh");
     shell.args(["-c", "ulimit -n 100; exec \"$0\" doctor --listen 127.0.0.1:0 --data \"$1\"", program]);

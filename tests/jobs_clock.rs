@@ -45,7 +45,7 @@ async fn submit_as(service: &JobService, script: &str, spec: JobSpec) -> Job {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_running_job_keeps_its_lease_whatever_the_clock_says() {
     for jump in JUMPS {
-        let World { service, clock, script, .. } = world(1, |_| ()).await;
+        let World { service, clock, script, dir: _dir } = world(1, |_| ()).await;
         let held = submit(&service, "hold").await;
         running(&service, held.id).await;
         let waiting = submit(&service, "ok").await;
@@ -86,7 +86,7 @@ async fn a_restart_in_another_time_runs_what_waited_and_ids_go_on() {
 #[tokio::test(flavor = "multi_thread")]
 async fn ids_go_on_and_nobody_waits_when_the_clock_jumps() {
     for jump in JUMPS {
-        let World { service, clock, script, .. } = world(1, |_| ()).await;
+        let World { service, clock, script, dir: _dir } = world(1, |_| ()).await;
         let held = submit(&service, "hold").await;
         running(&service, held.id).await;
         let first = submit(&service, "ok first").await;
@@ -102,13 +102,19 @@ async fn ids_go_on_and_nobody_waits_when_the_clock_jumps() {
         let load = service.load().await.unwrap();
         assert!(load.queue_age < Duration::from_secs(1), "nothing waits");
         assert_eq!(script.most(), 1);
+        // An urgent job counts as older than it is by ten minutes; a day before it, by the clock, is older still.
+        let turns = match jump {
+            0.. => ["hold", "ok first", "ok urgent", "ok second"],
+            _ => ["hold", "ok urgent", "ok first", "ok second"],
+        };
+        assert_eq!(script.begun(), turns, "{jump}");
         service.shutdown(Duration::ZERO).await;
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_idempotency_key_outlives_every_jump() {
-    let World { service, clock, .. } = world(1, |_| ()).await;
+    let World { service, clock, dir: _dir, .. } = world(1, |_| ()).await;
     let key = || Some(Idempotency { key: "k".to_owned(), fingerprint: "f".to_owned() });
     let job = submit_as(&service, "ok", JobSpec { idempotency: key(), ..JobSpec::default() }).await;
     ended(&service, job.id).await;
@@ -127,7 +133,7 @@ fn kept(settings: &mut Settings) {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_clock_that_is_set_and_set_right_again_removes_nothing() {
     for jump in JUMPS {
-        let World { service, clock, .. } = world(1, kept).await;
+        let World { service, clock, dir: _dir, .. } = world(1, kept).await;
         let job = submit(&service, "ok").await;
         ended(&service, job.id).await;
         clock.advance(jump);
@@ -148,7 +154,7 @@ async fn a_clock_that_is_set_and_set_right_again_removes_nothing() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_ended_while_the_clock_was_ahead_does_not_stay_for_a_year() {
-    let World { service, clock, .. } = world(1, kept).await;
+    let World { service, clock, dir: _dir, .. } = world(1, kept).await;
     clock.advance(365 * DAY);
     let job = submit(&service, "ok").await;
     ended(&service, job.id).await;
@@ -161,4 +167,63 @@ async fn what_ended_while_the_clock_was_ahead_does_not_stay_for_a_year() {
     .await;
     assert!(clock.now_ms() < NOW + DAY, "within a day of the right time");
     service.shutdown(Duration::ZERO).await;
+}
+
+/// Ends a job, then starts again by a clock that is this far off.
+async fn restarted_by(jump: i64) -> (World, Job) {
+    let World { service, clock, script, dir } = world(1, kept).await;
+    let job = submit(&service, "ok").await;
+    ended(&service, job.id).await;
+    service.shutdown(Duration::ZERO).await;
+    drop(service);
+    clock.advance(jump);
+    let mut settings = settings(&dir.path().join("data"), 1);
+    kept(&mut settings);
+    let storage = until(async || Storage::local(&settings.data).await.ok()).await;
+    let service = JobService::start(storage, settings, script.clone(), clock.clone()).await.unwrap();
+    (World { service, clock, script, dir }, job)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_clock_that_was_wrong_before_the_start_removes_nothing_until_it_is_right() {
+    for jump in [365 * DAY, 8 * DAY, -DAY, -365 * DAY] {
+        let (World { service, clock, dir: _dir, .. }, job) = restarted_by(jump).await;
+        let doubt = service.clock_doubt().unwrap().to_string();
+        assert!(
+            doubt.contains(if jump > 0 { "no job came for" } else { "behind the newest job" }),
+            "{doubt}"
+        );
+        for _ in 0..10 {
+            clock.advance(60 * 1000);
+            tokio::time::sleep(Duration::from_millis(30)).await;
+        }
+        assert_eq!(service.status(job.id).await.unwrap().status, JobStatus::Successful, "{jump}");
+        // It is set right, and goes on.
+        clock.set(NOW + 60 * 1000);
+        until(async || service.clock_doubt().is_none().then_some(())).await;
+        assert_eq!(service.status(job.id).await.unwrap().finished, Some(NOW), "the end stays what it was");
+        until(async || {
+            clock.advance(60 * 1000);
+            tokio::time::sleep(Duration::from_millis(30)).await;
+            service.status(job.id).await.err()
+        })
+        .await;
+        service.shutdown(Duration::ZERO).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_service_that_was_off_for_a_while_goes_on_removing() {
+    for pause in [0, DAY, 6 * DAY] {
+        let (World { service, clock, dir: _dir, .. }, job) = restarted_by(pause).await;
+        assert_eq!(service.clock_doubt(), None);
+        clock.advance(60 * 1000);
+        until(async || {
+            clock.advance(60 * 1000);
+            tokio::time::sleep(Duration::from_millis(30)).await;
+            service.status(job.id).await.err()
+        })
+        .await;
+        service.shutdown(Duration::ZERO).await;
+    }
 }

@@ -34,6 +34,10 @@ fn lost<T>(due: &AtomicU32, answer: Result<T, StoreError>) -> Result<T, StoreErr
 }
 
 impl RetentionStore for Doubtful {
+    fn newest_created(&self) -> StoreFuture<'_, Option<i64>> {
+        self.inner.newest_created()
+    }
+
     fn ended_before(&self, time: i64, limit: u32) -> StoreFuture<'_, Vec<JobId>> {
         self.inner.ended_before(time, limit)
     }

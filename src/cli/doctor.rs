@@ -23,6 +23,7 @@ pub fn run(args: serve::Args) -> Result<(), Failure> {
     let in_use = checkup::is_in_use(&args.data);
     let now = SystemClock.now_ms();
     let mut found = checkup::folder(&args.data);
+    found.push(room(&args));
     if in_use {
         found.push(Finding::Note("a service uses this data folder now".to_owned()));
     }
@@ -56,6 +57,32 @@ fn tell(found: &[Finding]) -> Result<(), Failure> {
         0 => Ok(()),
         1 => Err(Failure::new("1 thing is wrong")),
         wrong => Err(Failure::new(format!("{wrong} things are wrong"))),
+    }
+}
+
+/// Whether the largest uploads fit on the disk, beside the room that is kept for when it is full.
+fn room(args: &serve::Args) -> Finding {
+    let gib = |bytes: u64| bytes as f64 / f64::from(1 << 30);
+    let free = match checkup::free(&args.data) {
+        Ok(free) => free.saturating_sub(checkup::ROOM as u64),
+        Err(error) => return Finding::Note(format!("how much space is free is not known: {error}")),
+    };
+    let (largest, most) = (args.max_upload.0, args.max_uploads.get() as u64);
+    match free / largest {
+        0 => Finding::wrong(
+            format!(
+                "{:.1} GiB are free on the data folder's disk and one mesh may have {:.1}",
+                gib(free),
+                gib(largest)
+            ),
+            "free space, or lower --max-upload",
+        ),
+        fitting if fitting < most => Finding::Note(format!(
+            "{:.1} GiB are free on the data folder's disk: room for {fitting} of the largest meshes, of which {most} may come \
+             in at once; those that find no room get a 507",
+            gib(free)
+        )),
+        _ => Finding::Well(format!("{:.1} GiB are free on the data folder's disk", gib(free))),
     }
 }
 
@@ -101,7 +128,10 @@ fn certificate(args: &serve::Args) -> Vec<Finding> {
     let (Some(cert), Some(key)) = (&args.tls_cert, &args.tls_key) else { return Vec::new() };
     let mut found: Vec<Finding> = checkup::secrecy(key, "the TLS key", "600").into_iter().collect();
     found.push(match Tls::open(cert, key) {
-        Ok(_) => Finding::Well("the TLS certificate and its key go together".to_owned()),
+        Ok(tls) => match tls.expiry().and_then(|expiry| expiry.warning()) {
+            Some(warning) => Finding::wrong(warning, "a running service takes it over"),
+            None => Finding::Well("the TLS certificate and its key go together".to_owned()),
+        },
         Err(error) => {
             Finding::wrong(error.to_string(), "the service does not start: see to --tls-cert and --tls-key")
         }
@@ -113,7 +143,9 @@ fn certificate(args: &serve::Args) -> Vec<Finding> {
 fn targets(args: &serve::Args) -> Vec<Finding> {
     let path = args.webhooks.clone().unwrap_or_else(|| args.data.join("webhooks.json"));
     if !path.exists() {
-        return Vec::new();
+        let missing =
+            || Finding::wrong(TargetFile::new(&path).missing().to_string(), "the service does not start");
+        return args.webhooks.iter().map(|_| missing()).collect();
     }
     // It holds the secrets that messages are signed with.
     let mut found: Vec<Finding> =

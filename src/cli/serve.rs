@@ -21,8 +21,8 @@ use crate::jobs::isolation::{Isolated, JOB_MEMORY};
 use crate::jobs::{JobService, Retention, Settings, Spans, TooManyWorkers, log_panics_without_text};
 use crate::outbound::webhooks::{self, Schedule, TargetFile};
 
-pub use args::Args;
 use args::LogFormat;
+pub use args::{Args, Span};
 use otlp::Exporter;
 
 /// Serves until SIGTERM or SIGINT.
@@ -79,18 +79,19 @@ async fn serve(args: Args, spans: Spans) -> Result<(), Failure> {
         ))
     })?;
     webhooks::start(webhook_settings(&args), &jobs).await?;
-    let app = App::new(jobs, limits, Some(gate), Some(trail))?;
+    let is_plain = tls.is_none();
+    let app = App::new(jobs, limits, Some(gate), Some(trail), tls)?;
     // For people and for scripts that asked for port 0; a closed stdout leaves nobody to tell.
-    let scheme = if tls.is_some() { "https" } else { "http" };
+    let scheme = if is_plain { "http" } else { "https" };
     let _ = writeln!(std::io::stdout(), "listening on {scheme}://{address}");
-    if tls.is_none() && !is_local(address) {
+    if is_plain && !is_local(address) {
         tracing::warn!(%address, "without TLS keys and meshes cross the network in the clear: set --tls-cert and --tls-key");
     }
     if is_open {
         tracing::warn!(%address, "no key is needed: whoever reaches this address may see, make and delete every job");
     }
     tracing::info!(%address, "ready");
-    http::serve(listener, tls, app, stop, args.grace.0).await?;
+    http::serve(listener, app, stop, args.grace.0).await?;
     tracing::info!("stopped");
     Ok(())
 }
@@ -134,6 +135,7 @@ fn webhook_settings(args: &Args) -> webhooks::Settings {
     let path = args.webhooks.clone().unwrap_or_else(|| args.data.join("webhooks.json"));
     webhooks::Settings {
         file: TargetFile::new(path),
+        must_exist: args.webhooks.is_some(),
         schedule: Schedule { first: args.webhook_retry.0, attempts: args.webhook_attempts },
         timeout: args.webhook_timeout.0,
     }

@@ -7,6 +7,7 @@ use clap::Subcommand;
 
 use super::Failure;
 use super::files::create_private;
+use super::serve::Span;
 use crate::outbound::Url;
 use crate::outbound::webhooks::{Event, TargetFile};
 
@@ -39,6 +40,13 @@ enum Command {
     },
     /// List the targets, without their secrets.
     List,
+    /// Give a target a new secret and print it; messages are signed with the old one as well for a while.
+    Rotate {
+        name: String,
+        /// How long the old one is used beside the new one; 0 ends it at once.
+        #[arg(long, default_value = "24h", value_name = "TIME")]
+        overlap: Span,
+    },
     /// Tell a target nothing more; what it was not told yet is given up.
     Remove { name: String },
 }
@@ -59,6 +67,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             let events = if events.is_empty() { Event::ALL.to_vec() } else { events };
             writeln!(out, "{}", file.add(&name, url, &events, owner)?)?;
         }
+        Command::Rotate { name, overlap } => writeln!(out, "{}", file.rotate(&name, overlap.0)?)?,
         Command::Remove { name } => file.remove(&name)?,
         Command::List => {
             for target in file.list()? {

@@ -1,5 +1,6 @@
 //! The connections: accepted, given to the router, and cut when their client stands still.
 
+use std::io;
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,7 +10,7 @@ use axum::serve::Listener;
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto::Builder;
 use hyper_util::service::TowerToHyperService;
-use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::JoinSet;
 use tokio_rustls::server::TlsStream;
@@ -18,6 +19,9 @@ use tower_http::add_extension::AddExtension;
 
 use super::Tls;
 use super::audit::Peer;
+
+/// Bytes of a request that should have been encrypted which are read and thrown away.
+const MOST_PLAIN: usize = 1 << 20;
 
 /// Serves every connection until `closing`, then those that are open until they have answered.
 ///
@@ -61,9 +65,21 @@ pub(super) async fn serve(
     while open.join_next().await.is_some() {}
 }
 
+/// What a client is told that speaks HTTP where TLS is spoken.
+const PLAIN: &[u8] =
+    b"HTTP/1.1 400 Bad Request\r\nContent-Type: text/plain; charset=utf-8\r\nContent-Length: 46\r\n\
+                       Connection: close\r\n\r\nthis port speaks TLS: use https:// in the URL\n";
+
 /// The TLS handshake; `None` when it fails or takes too long.
-async fn greet(tls: &Tls, socket: TcpStream, limit: Duration) -> Option<TlsStream<TcpStream>> {
-    match tokio::time::timeout(limit, tls.acceptor().accept(socket)).await {
+async fn greet(tls: &Tls, mut socket: TcpStream, limit: Duration) -> Option<TlsStream<TcpStream>> {
+    let greeted = async {
+        if is_plain(&socket).await? {
+            refuse(&mut socket).await?;
+            return Err(io::Error::other("the client speaks HTTP without TLS"));
+        }
+        tls.acceptor().accept(socket).await
+    };
+    match tokio::time::timeout(limit, greeted).await {
         Ok(Ok(stream)) => Some(stream),
         Ok(Err(error)) => {
             tracing::debug!(%error, "a TLS handshake failed");
@@ -74,6 +90,28 @@ async fn greet(tls: &Tls, socket: TcpStream, limit: Duration) -> Option<TlsStrea
             None
         }
     }
+}
+
+/// Whether the client begins with a letter, as a request's method does and no TLS record (RFC 8446, section 5.1).
+async fn is_plain(socket: &TcpStream) -> io::Result<bool> {
+    let mut first = [0];
+    Ok(socket.peek(&mut first).await? == 1 && first[0].is_ascii_alphabetic())
+}
+
+/// Says what is wrong, in the clear. What the client sends meanwhile is read: a connection that is closed with unread bytes
+/// is reset, and the answer with it.
+async fn refuse(socket: &mut TcpStream) -> io::Result<()> {
+    socket.write_all(PLAIN).await?;
+    socket.shutdown().await?;
+    let mut rest = [0; 4096];
+    let mut read = 0;
+    while read < MOST_PLAIN {
+        match socket.read(&mut rest).await? {
+            0 => break,
+            bytes => read += bytes,
+        }
+    }
+    Ok(())
 }
 
 /// Answers one client's requests.

@@ -2,28 +2,26 @@
 
 use std::future::Future;
 use std::io;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::net::TcpListener;
 
-use super::{App, Tls, connections, router};
+use super::{App, connections, router};
 
 /// How long open connections may take to end after the signal to stop, within the grace time.
 const CONNECTIONS_END: Duration = Duration::from_secs(10);
 
-/// Serves on `listener`, encrypted where there is `tls`, until `stop` is ready. Then no connection is accepted any more, requests under way are
+/// Serves on `listener`, encrypted where the app has a certificate, until `stop` is ready. Then no connection is accepted any more, requests under way are
 /// answered, running jobs finish within `grace`, and the others are put back.
 pub async fn serve(
     listener: TcpListener,
-    tls: Option<Tls>,
     app: App,
     stop: impl Future<Output = ()>,
     grace: Duration,
 ) -> io::Result<()> {
     let closing = app.closing().clone();
     let router = router::router(app.clone());
-    let tls = tls.map(Arc::new);
+    let tls = app.tls().cloned();
     if let Some(tls) = &tls {
         tokio::spawn(tls.clone().follow(closing.clone()));
     }

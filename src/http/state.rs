@@ -11,6 +11,7 @@ use super::audit::Trail;
 use super::counters::Counters;
 use super::idempotency::InFlight;
 use super::limits::Limits;
+use super::tls::Tls;
 use super::validation::Validator;
 use crate::jobs::JobService;
 
@@ -26,6 +27,7 @@ struct Inner {
     uploads: Arc<Semaphore>,
     gate: Option<Gate>,
     trail: Option<Trail>,
+    tls: Option<Arc<Tls>>,
     counters: Counters,
     closing: CancellationToken,
 }
@@ -40,6 +42,7 @@ impl App {
         limits: Limits,
         gate: Option<Gate>,
         trail: Option<Trail>,
+        tls: Option<Tls>,
     ) -> Result<Self, ThreadPoolBuildError> {
         let validator = Validator::new(&limits)?;
         Ok(Self(Arc::new(Inner {
@@ -50,6 +53,7 @@ impl App {
             uploads: Arc::new(Semaphore::new(limits.uploads)),
             gate,
             trail,
+            tls: tls.map(Arc::new),
             counters: Counters::default(),
             closing: CancellationToken::new(),
         })))
@@ -73,6 +77,11 @@ impl App {
 
     pub(super) fn trail(&self) -> Option<&Trail> {
         self.0.trail.as_ref()
+    }
+
+    /// What connections are encrypted with, if they are.
+    pub(super) fn tls(&self) -> Option<&Arc<Tls>> {
+        self.0.tls.as_ref()
     }
 
     pub(super) fn counters(&self) -> &Counters {

@@ -1,8 +1,10 @@
 //! TLS by rustls: one certificate with its key, taken over again when their files change.
 
+mod expiry;
+
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use std::{fs, io};
 
 use tokio_rustls::TlsAcceptor;
@@ -14,8 +16,12 @@ use tokio_util::sync::CancellationToken;
 
 use crate::jobs::operator_file::{Stamp, stamp};
 
+pub use expiry::Expiry;
+
 /// How often the files are looked at.
 const LOOK: Duration = Duration::from_secs(1);
+/// How often a certificate that is about to expire is warned of.
+const REMIND: Duration = Duration::from_secs(24 * 60 * 60);
 
 /// Why a certificate with its key cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -34,7 +40,7 @@ pub enum TlsError {
 pub struct Tls {
     cert: PathBuf,
     key: PathBuf,
-    config: RwLock<Arc<ServerConfig>>,
+    config: RwLock<(Arc<ServerConfig>, Option<Expiry>)>,
     /// Of the files as they were when the service started.
     first: [Stamp; 2],
 }
@@ -51,7 +57,12 @@ impl Tls {
 
     /// For the next connection.
     pub(super) fn acceptor(&self) -> TlsAcceptor {
-        TlsAcceptor::from(self.config.read().unwrap_or_else(PoisonError::into_inner).clone())
+        TlsAcceptor::from(self.config.read().unwrap_or_else(PoisonError::into_inner).0.clone())
+    }
+
+    /// When the certificate in force, or one of its chain, expires; `None` where that cannot be read.
+    pub fn expiry(&self) -> Option<Expiry> {
+        self.config.read().unwrap_or_else(PoisonError::into_inner).1
     }
 
     /// Takes changed files over until `closing`. A pair that cannot be used leaves the one before in force.
@@ -60,7 +71,15 @@ impl Tls {
     /// same moment.
     pub(super) async fn follow(self: Arc<Self>, closing: CancellationToken) {
         let (mut taken, mut seen) = (self.first, self.first);
+        let mut reminded: Option<(Instant, Option<Expiry>)> = None;
         loop {
+            let expiry = self.expiry();
+            if reminded.is_none_or(|(at, of)| of != expiry || at.elapsed() >= REMIND) {
+                reminded = Some((Instant::now(), expiry));
+                if let Some(warning) = expiry.and_then(|expiry| expiry.warning()) {
+                    tracing::warn!("{warning}");
+                }
+            }
             tokio::select! {
                 () = tokio::time::sleep(LOOK) => {}
                 () = closing.cancelled() => return,
@@ -91,11 +110,12 @@ impl Tls {
     }
 }
 
-fn load(cert: &Path, key: &Path) -> Result<Arc<ServerConfig>, TlsError> {
+fn load(cert: &Path, key: &Path) -> Result<(Arc<ServerConfig>, Option<Expiry>), TlsError> {
     let chain = CertificateDer::pem_slice_iter(&read(cert)?).collect::<Result<Vec<_>, _>>();
     let chain =
         chain.and_then(|chain| if chain.is_empty() { Err(pem::Error::NoItemsFound) } else { Ok(chain) });
     let chain = chain.map_err(|detail| TlsError::Pem { path: name(cert), what: "certificate", detail })?;
+    let expiry = chain.iter().filter_map(|one| Expiry::of(one)).min();
     let secret = PrivateKeyDer::from_pem_slice(&read(key)?).map_err(|detail| TlsError::Pem {
         path: name(key),
         what: "private key",
@@ -106,7 +126,7 @@ fn load(cert: &Path, key: &Path) -> Result<Arc<ServerConfig>, TlsError> {
         .and_then(|builder| builder.with_no_client_auth().with_single_cert(chain, secret));
     let mut config = config.map_err(|source| TlsError::Pair { cert: name(cert), key: name(key), source })?;
     config.alpn_protocols = vec![b"http/1.1".to_vec()];
-    Ok(Arc::new(config))
+    Ok((Arc::new(config), expiry))
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, TlsError> {

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use sqlx::{AnyConnection, Connection};
 
+use super::clock::SILENCE;
 use super::folder::percent_encoded;
 
 /// What was found, in words for the operator.
@@ -29,7 +30,7 @@ impl Finding {
 }
 
 /// Bytes that must fit: the reserve for a full disk, and a little.
-const ROOM: usize = 4 << 20;
+pub const ROOM: usize = 4 << 20;
 
 /// Whether a service could keep its files here: writes, syncs and renames work, and there is room.
 ///
@@ -173,7 +174,21 @@ async fn examine(file: &Path, now_ms: i64) -> Result<Vec<Finding>, sqlx::Error> 
             "set the clock; jobs made meanwhile are kept longer than they should be",
         ));
     }
+    let silent = now_ms.saturating_sub(newest);
+    if newest > 0 && u128::try_from(silent).is_ok_and(|silent| silent > SILENCE.as_millis()) {
+        let days = silent / 86_400_000;
+        found.push(Finding::Note(format!(
+            "by this machine's clock no job came for {days} days: for a day after the next start nothing is removed for its age"
+        )));
+    }
     Ok(found)
+}
+
+/// Bytes that are free for this user on the disk of `path`, or of the folder that it would be made in.
+pub fn free(path: &Path) -> io::Result<u64> {
+    let place = path.ancestors().find(|each| each.exists()).unwrap_or(Path::new("."));
+    let found = nix::sys::statvfs::statvfs(place)?;
+    Ok(found.blocks_available() as u64 * found.fragment_size() as u64)
 }
 
 /// How many files a process may have open.

@@ -2,7 +2,7 @@
 //! what is kept for too long is removed.
 
 use std::panic::AssertUnwindSafe;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 use std::time::Instant;
 
 use futures::FutureExt;
@@ -13,9 +13,8 @@ use super::retention::sweep;
 use super::worker::{Phase, Shared};
 
 /// Keeps house until the service drains.
-pub(super) async fn keep(shared: Arc<Shared>) {
+pub(super) async fn keep(shared: Arc<Shared>, mut clock: Steadiness) {
     let mut phase = shared.phase.subscribe();
-    let mut clock = Steadiness::new(shared.clock.now_ms(), Instant::now());
     let pace = shared.settings.retention.pace(shared.settings.housekeeping);
     loop {
         tokio::select! {
@@ -23,20 +22,36 @@ pub(super) async fn keep(shared: Arc<Shared>) {
             // The sender lives in `shared`, so the wait does not fail.
             _ = phase.wait_for(|phase| *phase != Phase::Open) => return,
         }
-        let steady = clock.holds(shared.clock.now_ms(), Instant::now());
-        if AssertUnwindSafe(round(&shared, steady)).catch_unwind().await.is_err() {
+        let now = trusted_now(&shared, &mut clock);
+        if AssertUnwindSafe(round(&shared, now)).catch_unwind().await.is_err() {
             tracing::error!("the housekeeping panicked; it goes on with its next round");
         }
     }
 }
 
-/// One round; `steady` says whether the clock can be trusted.
-async fn round(shared: &Arc<Shared>, steady: bool) {
+/// What the clock says, where it can be trusted; what is found is noted, and logged once.
+pub(super) fn trusted_now(shared: &Shared, clock: &mut Steadiness) -> Option<i64> {
+    let now = shared.clock.now_ms();
+    let found = clock.holds(now, Instant::now()).err();
+    let mut noted = shared.doubt.lock().unwrap_or_else(PoisonError::into_inner);
+    match (&found, &*noted) {
+        (Some(doubt), None) => tracing::warn!("{doubt}"),
+        (None, Some(_)) => tracing::info!("the clock is trusted again"),
+        _ => {}
+    }
+    *noted = found;
+    found.is_none().then_some(now)
+}
+
+/// One round; `now` is the time where the clock can be trusted. Asked again it may be another one.
+async fn round(shared: &Arc<Shared>, now: Option<i64>) {
     keep_reserve(shared).await;
     if let Err(error) = finish_purges(shared.store.as_ref(), shared.blobs.as_ref()).await {
         tracing::warn!(%error, "purges that were begun cannot be looked up");
     }
-    if steady && let Err(error) = sweep(shared).await {
+    if let Some(now) = now
+        && let Err(error) = sweep(shared, now).await
+    {
         tracing::warn!(%error, "what is kept for too long cannot be looked up");
     }
 }

@@ -48,7 +48,7 @@ mod watch;
 mod worker;
 
 use clock::Steadiness;
-pub use clock::{Clock, ManualClock, SystemClock};
+pub use clock::{Clock, Doubt, ManualClock, SystemClock};
 pub use coding::Coding;
 pub use error::{JobError, Unready};
 pub use failure::JobFailure;
@@ -60,7 +60,7 @@ pub use model::{
     Counts, FileName, FormatHint, Idempotency, Job, JobSpec, JobStatus, Lease, Load, Origin, StoredArtifact,
     StoredInput, UnknownStatus,
 };
-pub use outbox::{Delivery, DeliveryCounts, Listener, Outbox, Told};
+pub use outbox::{Delivery, DeliveryCounts, LONGEST_WAIT, Listener, Outbox, Told};
 pub use panics::log_panics_without_text;
 pub use parameters::ParameterValues;
 pub use priority::{Priority, UnknownPriority};

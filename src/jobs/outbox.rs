@@ -3,10 +3,14 @@
 
 use std::future::Future;
 use std::sync::{Arc, PoisonError};
+use std::time::Duration;
 
 use super::store::StoreError;
 use super::worker::{Phase, Shared};
 use super::{JobFailure, JobId, JobService, JobStatus, Lease};
+
+/// No delivery waits for longer before it is tried again.
+pub const LONGEST_WAIT: Duration = Duration::from_secs(12 * 60 * 60);
 
 /// Somebody who is told of the ends of jobs.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -76,6 +80,11 @@ impl Outbox {
         self.0.deliveries.set_listeners(listeners, self.now()).await
     }
 
+    /// How many listeners there are, as they were set last, by this process or another.
+    pub async fn listeners(&self) -> Result<u64, StoreError> {
+        self.0.deliveries.count_listeners().await
+    }
+
     /// The next delivery for `listener` that is due, under `lease`; nobody else gets it for `lease_ms`.
     pub async fn claim(
         &self,
@@ -95,8 +104,11 @@ impl Outbox {
         self.0.deliveries.settle_delivery(&delivery.id, lease, told, self.now()).await
     }
 
-    /// Forgets what was given up longer than `kept_ms` ago.
+    /// Forgets what was given up longer than `kept_ms` ago; nothing while the clock is doubted.
     pub async fn forget(&self, kept_ms: i64) -> Result<u64, StoreError> {
+        if self.0.doubt.lock().unwrap_or_else(PoisonError::into_inner).is_some() {
+            return Ok(0);
+        }
         self.0.deliveries.forget_dead(self.now().saturating_sub(kept_ms)).await
     }
 

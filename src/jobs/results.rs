@@ -34,12 +34,12 @@ impl Worker {
                     entry.settled(JobStatus::Successful);
                     return;
                 }
-                Ok(false) => return self.drop_unless_named(job, lease, &artifacts).await,
+                Ok(false) => return self.drop_unless_named(job, lease, entry, &artifacts).await,
                 Err(error) => tracing::error!(%error, "cannot store the results"),
             }
             if self.stops(entry) {
                 self.abandon(job, lease).await;
-                return self.drop_unless_named(job, lease, &artifacts).await;
+                return self.drop_unless_named(job, lease, entry, &artifacts).await;
             }
             self.pause(backoff.next()).await;
         }
@@ -47,7 +47,7 @@ impl Worker {
 
     /// Drops the results of a run whose lease is void. A write that failed may have been committed all the
     /// same, so the row decides whether they are its own.
-    async fn drop_unless_named(&self, job: &Job, lease: &Lease, artifacts: &[Packed]) {
+    async fn drop_unless_named(&self, job: &Job, lease: &Lease, entry: &Entry, artifacts: &[Packed]) {
         match self.shared.store.get(job.id).await {
             Ok(Some(found)) if found.lease.as_ref() == Some(lease) => {
                 tracing::warn!("not put back; the next start does that, and removes the results");
@@ -56,6 +56,7 @@ impl Worker {
                 if names(&found, &result_key(job, lease, OutputFormat::Json, Coding::Identity)) =>
             {
                 tracing::info!("successful");
+                entry.settled(JobStatus::Successful);
             }
             Ok(_) => {
                 tracing::info!("dismissed or put back, results dropped");

@@ -29,9 +29,8 @@ impl Retention {
     }
 }
 
-/// Removes whatever is kept for too long. What cannot be removed now is tried again with the next round.
-pub(super) async fn sweep(shared: &Shared) -> Result<(), StoreError> {
-    let now = shared.clock.now_ms();
+/// Removes whatever is kept for too long at `now`. What cannot be removed now is tried again with the next round.
+pub(super) async fn sweep(shared: &Shared, now: i64) -> Result<(), StoreError> {
     let before = |kept: Duration| now.saturating_sub(i64::try_from(kept.as_millis()).unwrap_or(i64::MAX));
     shared.store.ended_by(now).await?;
     if let Some(kept) = shared.settings.retention.job {

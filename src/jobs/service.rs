@@ -3,7 +3,7 @@
 use std::io;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use futures::{Stream, StreamExt};
@@ -17,8 +17,8 @@ use super::runner::JobRunner;
 use super::store::{ListQuery, Page};
 use super::worker::{Phase, Shared, Worker};
 use super::{
-    Clock, Counts, IdSource, Job, JobError, JobId, JobSpec, JobStatus, Load, Settings, Spans, Storage,
-    StoredInput, SystemClock, Unready,
+    Clock, Counts, Doubt, IdSource, Job, JobError, JobId, JobSpec, JobStatus, Load, Settings, Spans,
+    Steadiness, Storage, StoredInput, SystemClock, Unready,
 };
 
 /// A mesh that was stored for a job not yet submitted. Dropping it removes the mesh.
@@ -91,6 +91,8 @@ impl JobService {
         clock: Arc<dyn Clock>,
     ) -> Result<Arc<Self>, JobError> {
         let (store, blobs) = (&storage.store, &storage.blobs);
+        // Before anything is written with a clock that may be wrong.
+        let mut steadiness = Steadiness::new(clock.now_ms(), store.newest_created().await?, Instant::now());
         recover(store.as_ref(), blobs.as_ref(), settings.max_crashes.get(), clock.now_ms()).await?;
         storage.deliveries.release_deliveries(clock.now_ms()).await?;
         let ids = IdSource::new(clock.clone(), store.newest().await?);
@@ -107,12 +109,14 @@ impl JobService {
             held: AtomicUsize::new(0),
             meter: Arc::default(),
             phase: watch::Sender::new(Phase::Open),
+            doubt: Mutex::new(None),
         });
+        housekeeping::trusted_now(&shared, &mut steadiness);
         let workers: Result<Vec<Worker>, _> =
             (0..shared.settings.workers.get()).map(|number| Worker::new(shared.clone(), number)).collect();
         let mut workers: Vec<_> = workers?.into_iter().map(|worker| tokio::spawn(worker.work())).collect();
         housekeeping::keep_reserve(&shared).await;
-        workers.push(tokio::spawn(housekeeping::keep(shared.clone())));
+        workers.push(tokio::spawn(housekeeping::keep(shared.clone(), steadiness)));
         Ok(Arc::new(Self { shared, ids, workers: Mutex::new(workers) }))
     }
 
@@ -312,6 +316,11 @@ impl JobService {
             reasons.push("every worker waits for a cancelled run that does not stop".to_owned());
         }
         if reasons.is_empty() { Ok(()) } else { Err(Unready { reasons }) }
+    }
+
+    /// Why the clock is doubted now, if it is.
+    pub fn clock_doubt(&self) -> Option<Doubt> {
+        *self.shared.doubt.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Refuses new jobs from now on; running ones go on.

@@ -35,6 +35,8 @@ impl Storage {
         let (deliveries, store): (Arc<dyn DeliveryStore>, Arc<dyn JobStore>) = (sql.clone(), sql);
         #[cfg(debug_assertions)]
         let store: Arc<dyn JobStore> = Arc::new(faults::FaultyStore(store));
+        #[cfg(debug_assertions)]
+        let deliveries: Arc<dyn DeliveryStore> = Arc::new(faults::FaultyDeliveries(deliveries));
         Ok(Self { deliveries, store, blobs: Arc::new(blobs), folder: Some(folder) })
     }
 }

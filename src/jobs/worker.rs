@@ -4,8 +4,8 @@
 //! another whole job, and the first could neither end nor obey its cancellation until the second is done.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
@@ -23,7 +23,7 @@ use super::runner::{Artifact, JobRunner, RunControl, Work};
 use super::store::{DeliveryStore, JobStore, StoreError};
 use super::timeline::Timeline;
 use super::watch::{flush, out_of_time, overdue};
-use super::{Clock, DataFolder, Job, JobFailure, JobStage, JobStatus, Lease, Settings};
+use super::{Clock, DataFolder, Doubt, Job, JobFailure, JobStage, JobStatus, Lease, Settings};
 
 /// Tries to read an input before its job fails.
 const READS: u32 = 5;
@@ -56,6 +56,8 @@ pub(super) struct Shared {
     pub(super) held: AtomicUsize,
     pub(super) meter: Arc<Meter>,
     pub(super) phase: watch::Sender<Phase>,
+    /// Why the clock is doubted now, if it is.
+    pub(super) doubt: Mutex<Option<Doubt>>,
 }
 
 /// How a run ended.

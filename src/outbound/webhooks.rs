@@ -19,7 +19,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::{Answer, Client, OutboundError};
 use crate::jobs::operator_file::{Stamp, stamp};
-use crate::jobs::{Delivery, JobService, Lease, Listener, Outbox, Told};
+use crate::jobs::{Delivery, JobService, LONGEST_WAIT, Lease, Listener, Outbox, Told};
 
 pub use schedule::Schedule;
 pub use signature::{NoSecret, Secret};
@@ -50,6 +50,8 @@ pub enum WebhookError {
 #[derive(Debug, Clone)]
 pub struct Settings {
     pub file: TargetFile,
+    /// Whether the file must be there at the start, since the operator named it.
+    pub must_exist: bool,
     pub schedule: Schedule,
     /// How long a target may take to answer.
     pub timeout: Duration,
@@ -58,34 +60,56 @@ pub struct Settings {
 /// Sends from now on until `jobs` shuts down; changes of the file are taken over.
 ///
 /// # Errors
-/// When the file is there and cannot be used.
+/// When the file cannot be used, or is not there although it must.
 pub async fn start(settings: Settings, jobs: &JobService) -> Result<(), WebhookError> {
     let outbox = jobs.outbox();
     let first = stamp(settings.file.path());
-    let targets = settings.file.list()?;
     let mut crew = Crew::new();
-    crew.serve(&settings, &outbox, targets).await?;
+    match settings.file.read()? {
+        Some(targets) => crew.serve(&settings, &outbox, targets).await?,
+        None if settings.must_exist => return Err(settings.file.missing().into()),
+        // What waits for the targets of before must not be given up because a file was lost.
+        None => match outbox.listeners().await? {
+            0 => {}
+            count => {
+                let error = settings.file.missing();
+                tracing::error!(%error, targets = count, "nothing is sent until the file is back; what is to be told waits");
+            }
+        },
+    }
     jobs.run_beside(follow(settings, outbox, crew, first));
     Ok(())
 }
 
-/// Exchanges the senders when the file has changed; a file that cannot be used leaves those before at work.
+/// Exchanges the senders when the file has changed; a file that cannot be used, or is gone, leaves those before at work
+/// and is tried again.
 async fn follow(settings: Settings, outbox: Outbox, mut crew: Crew, first: Stamp) {
-    let (mut taken, mut forgotten) = (first, tokio::time::Instant::now());
+    let mut taken = first;
+    let mut told: Option<String> = None;
+    let mut forgotten: Option<tokio::time::Instant> = None;
     loop {
         tokio::select! {
             () = tokio::time::sleep(LOOK) => {}
             () = outbox.draining() => return crew.end(&outbox).await,
         }
         let now = stamp(settings.file.path());
-        if now != taken {
-            taken = now;
-            if let Err(error) = renew(&settings, &outbox, &mut crew).await {
-                tracing::error!(%error, "the webhook targets stay those before");
+        if now == taken {
+            told = None;
+        } else {
+            match renew(&settings, &outbox, &mut crew).await {
+                Ok(()) => (taken, told) = (now, None),
+                Err(error) => {
+                    let error = error.to_string();
+                    // Once for each reason, not at each look.
+                    if told.as_ref() != Some(&error) {
+                        tracing::error!(error, "the webhook targets stay those before");
+                        told = Some(error);
+                    }
+                }
             }
         }
-        if forgotten.elapsed() >= FORGET {
-            forgotten = tokio::time::Instant::now();
+        if forgotten.is_none_or(|at| at.elapsed() >= FORGET) {
+            forgotten = Some(tokio::time::Instant::now());
             let kept = i64::try_from(DEAD_KEPT.as_millis()).unwrap_or(i64::MAX);
             if let Err(error) = outbox.forget(kept).await {
                 tracing::warn!(%error, "old webhooks cannot be forgotten");
@@ -95,7 +119,7 @@ async fn follow(settings: Settings, outbox: Outbox, mut crew: Crew, first: Stamp
 }
 
 async fn renew(settings: &Settings, outbox: &Outbox, crew: &mut Crew) -> Result<(), WebhookError> {
-    let targets = settings.file.list()?;
+    let targets = settings.file.read()?.ok_or_else(|| settings.file.missing())?;
     let count = targets.len();
     crew.serve(settings, outbox, targets).await?;
     tracing::info!(targets = count, "the webhook targets have changed");
@@ -157,7 +181,7 @@ impl Sender {
             tracing::warn!(to = target.name, "webhooks cross the network in the clear; use https");
         }
         let client = Client::new(target.url.clone(), settings.timeout)?;
-        let lease = settings.timeout + LEASE_MARGIN;
+        let lease = settings.timeout.saturating_add(LEASE_MARGIN).min(LONGEST_WAIT);
         Ok(Self { target, client, outbox: outbox.clone(), schedule: settings.schedule, lease })
     }
 
@@ -168,6 +192,10 @@ impl Sender {
         while !leave.is_cancelled() && !self.outbox.is_draining() {
             // The semaphore is never closed.
             let Ok(place) = places.clone().acquire_owned().await else { return };
+            // That may have taken as long as a target's answer.
+            if leave.is_cancelled() || self.outbox.is_draining() {
+                break;
+            }
             match self.claimed().await {
                 Some((delivery, lease)) => {
                     let sender = self.clone();
@@ -225,7 +253,7 @@ impl Sender {
         // A struct of strings and numbers always serialises; an empty body is the honest rest.
         let body = payload::body(delivery).unwrap_or_default();
         let timestamp = time::OffsetDateTime::now_utc().unix_timestamp();
-        let signature = self.target.secret.sign(&delivery.id, timestamp, &body);
+        let signature = self.target.sign(&delivery.id, timestamp, &body);
         let headers = [
             ("content-type", "application/json".to_owned()),
             ("webhook-id", delivery.id.clone()),

@@ -23,6 +23,7 @@ use rosaline::output::OutputFormat;
 #[derive(Default)]
 pub struct Script {
     runs: Mutex<HashMap<String, usize>>,
+    begun: Mutex<Vec<String>>,
     running: AtomicUsize,
     most: AtomicUsize,
     ended: Mutex<Option<Instant>>,
@@ -42,6 +43,11 @@ impl Script {
     /// Every input that was run, with how often.
     pub fn all_runs(&self) -> HashMap<String, usize> {
         self.runs.lock().unwrap().clone()
+    }
+
+    /// Inputs in the order in which their runs began.
+    pub fn begun(&self) -> Vec<String> {
+        self.begun.lock().unwrap().clone()
     }
 
     pub fn running(&self) -> usize {
@@ -114,6 +120,7 @@ impl JobRunner for Script {
     fn run(&self, work: Work, control: &RunControl) -> Result<Vec<Artifact>, JobFailure> {
         let script = String::from_utf8(work.bytes.to_vec()).unwrap();
         *self.runs.lock().unwrap().entry(script.clone()).or_default() += 1;
+        self.begun.lock().unwrap().push(script.clone());
         let running = self.running.fetch_add(1, Ordering::SeqCst) + 1;
         self.most.fetch_max(running, Ordering::SeqCst);
         control.report(JobStage::Method(Stage::Tips), 0.5);

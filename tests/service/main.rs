@@ -51,4 +51,5 @@ mod traces;
 mod trail;
 mod turns;
 mod uploads;
+mod webhook_targets;
 mod webhooks;

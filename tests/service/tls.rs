@@ -16,7 +16,7 @@ use tokio_rustls::rustls::pki_types::{CertificateDer, ServerName};
 use tokio_rustls::rustls::{ClientConfig, RootCertStore};
 
 use crate::meshes;
-use crate::service::{PATIENCE, Service, command};
+use crate::service::{PATIENCE, Service, command, without_settings};
 
 /// A certificate for 127.0.0.1 that signs itself, and its key.
 pub struct Pair {
@@ -26,8 +26,17 @@ pub struct Pair {
 
 impl Pair {
     pub fn new() -> Self {
-        let made = rcgen::generate_simple_self_signed(vec!["127.0.0.1".to_owned()]).unwrap();
-        Self { certificate: made.cert, key: made.signing_key }
+        Self::that_expires(365)
+    }
+
+    /// In so many days from now, and an hour.
+    pub fn that_expires(days: i64) -> Self {
+        let mut parameters = rcgen::CertificateParams::new(vec!["127.0.0.1".to_owned()]).unwrap();
+        parameters.not_before = time::OffsetDateTime::now_utc() - time::Duration::days(1000);
+        parameters.not_after =
+            time::OffsetDateTime::now_utc() + time::Duration::days(days) + time::Duration::HOUR;
+        let key = rcgen::KeyPair::generate().unwrap();
+        Self { certificate: parameters.self_signed(&key).unwrap(), key }
     }
 
     fn der(&self) -> CertificateDer<'static> {
@@ -85,7 +94,7 @@ async fn shown(service: &Service, client: &Client) -> Vec<u8> {
 }
 
 /// What a log line says is waited for, at most for as long as anything is.
-async fn logged(service: &Service, text: &str, times: usize) {
+pub async fn logged(service: &Service, text: &str, times: usize) {
     let begin = Instant::now();
     while service.log().matches(text).count() < times {
         assert!(begin.elapsed() < PATIENCE, "{text}: {}", service.log());
@@ -101,9 +110,6 @@ async fn a_job_goes_over_tls_and_nothing_goes_beside_it() {
     assert!(service.url.starts_with("https://127.0.0.1:"), "{}", service.url);
     let stranger = service.get("/healthz").send().await;
     assert!(stranger.is_err(), "a client that does not know the certificate goes no further");
-    let plain = format!("http://{}/healthz", service.address());
-    assert!(service.client.get(plain).send().await.is_err());
-
     service.client = trusting(&[&pair]);
     let job = service.accepted("", meshes::small()).await;
     assert_eq!(service.ended(&job).await["status"], "successful");
@@ -113,10 +119,63 @@ async fn a_job_goes_over_tls_and_nothing_goes_beside_it() {
 
     let health = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
-        command.env_remove("ROSALINE_TLS_CERT").args(["health", "--listen", service.address()]);
+        without_settings(&mut command);
+        command.args(["health", "--listen", service.address()]);
         command.args(arguments).output().unwrap().status.success()
     };
     assert!(health(&["--tls-cert", text(&files.cert)]) && !health(&[]));
+}
+
+#[tokio::test]
+async fn a_client_that_speaks_plain_http_is_told_to_use_https() {
+    let pair = Pair::new();
+    let mut service = Files::new(&pair).start(&[]);
+    let told = "this port speaks TLS: use https:// in the URL\n";
+    let plain = service.url.replace("https://", "http://");
+    let answer = service.client.get(format!("{plain}/healthz")).send().await.unwrap();
+    assert_eq!(
+        (answer.status().as_u16(), &answer.headers()["content-type"]),
+        (400, &"text/plain; charset=utf-8".parse().unwrap())
+    );
+    assert_eq!(answer.text().await.unwrap(), told);
+    // Also one that sends a mesh, and reads no answer before it has.
+    let mut socket = TcpStream::connect(service.address()).await.unwrap();
+    let head =
+        "POST /v1/jobs HTTP/1.1\r\nHost: x\r\nContent-Type: model/stl\r\nContent-Length: 500000\r\n\r\n";
+    socket.write_all(&[head.as_bytes(), &[b'x'; 500_000]].concat()).await.unwrap();
+    let mut answer = String::new();
+    socket.read_to_string(&mut answer).await.unwrap();
+    assert!(answer.starts_with("HTTP/1.1 400 ") && answer.ends_with(told), "{answer}");
+    service.client = trusting(&[&pair]);
+    service.assert_alive().await;
+    assert_eq!(service.files().len(), 0);
+}
+
+#[tokio::test]
+async fn a_certificate_that_is_about_to_expire_is_warned_of() {
+    let pairs = [365, 12, -2].map(Pair::that_expires);
+    let files = Files::new(&pairs[0]);
+    let mut service = files.start(&[]);
+    // The expired one is no longer accepted by a client: its warnings are those of the log.
+    service.client = trusting(&pairs.iter().collect::<Vec<_>>());
+    let seen = async || {
+        let ready: serde_json::Value = service.get("/readyz").send().await.unwrap().json().await.unwrap();
+        let text = service.get("/metrics").send().await.unwrap().text().await.unwrap();
+        let line = text
+            .lines()
+            .find_map(|line| line.strip_prefix("rosaline_tls_certificate_expiry_timestamp_seconds "));
+        let now = time::OffsetDateTime::now_utc().unix_timestamp();
+        (ready["warnings"].clone(), (line.unwrap().parse::<i64>().unwrap() - now) / 86_400)
+    };
+    assert_eq!(seen().await, (serde_json::Value::Null, 365));
+    assert!(!service.log().contains("expire"), "{}", service.log());
+    files.put(&pairs[1].certificate.pem(), &pairs[1].key.serialize_pem());
+    logged(&service, "the TLS certificate expires on", 1).await;
+    let (warnings, days) = seen().await;
+    assert!(warnings[0].as_str().unwrap().contains("in 12 days"), "{warnings}");
+    assert_eq!(days, 12);
+    files.put(&pairs[2].certificate.pem(), &pairs[2].key.serialize_pem());
+    logged(&service, "the TLS certificate has expired on", 1).await;
 }
 
 #[tokio::test]

@@ -9,30 +9,32 @@ use tempfile::TempDir;
 
 use crate::meshes;
 use crate::receiver::{Answer, Receiver};
-use crate::service::{PATIENCE, Service, command, problem};
+use crate::service::{PATIENCE, Service, command, problem, without_settings};
 use crate::tls::{Files, Pair};
 
-fn webhooks(data: &TempDir, arguments: &[&str]) -> Output {
+pub fn webhooks(data: &TempDir, arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
-    command.env_remove("ROSALINE_WEBHOOKS").env("ROSALINE_DATA", data.path());
+    without_settings(&mut command);
+    command.env("ROSALINE_DATA", data.path());
     command.arg("webhooks").args(arguments).output().unwrap()
 }
 
 /// What the command prints, which must succeed.
-fn done(data: &TempDir, arguments: &[&str]) -> String {
+pub fn done(data: &TempDir, arguments: &[&str]) -> String {
     let output = webhooks(data, arguments);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap().trim().to_owned()
 }
 
-fn folder() -> Arc<TempDir> {
+pub fn folder() -> Arc<TempDir> {
     Arc::new(tempfile::tempdir().unwrap())
 }
 
-const QUICK: [&str; 6] = ["--webhook-retry", "1s", "--webhook-attempts", "3", "--webhook-timeout", "1s"];
+/// Quick to try again. No limit that a busy machine could miss: only a test of that limit sets it low.
+pub const QUICK: [&str; 4] = ["--webhook-retry", "1s", "--webhook-attempts", "3"];
 
 /// The value of a metric once it is this one.
-async fn metric(service: &Service, line: &str) {
+pub async fn metric(service: &Service, line: &str) {
     let begin = Instant::now();
     loop {
         let text = service.get("/metrics").send().await.unwrap().text().await.unwrap();
@@ -44,11 +46,11 @@ async fn metric(service: &Service, line: &str) {
     }
 }
 
-async fn nothing_waits(service: &Service) {
+pub async fn nothing_waits(service: &Service) {
     metric(service, "rosaline_webhooks{state=\"waiting\"} 0").await;
 }
 
-async fn dead(service: &Service) -> Vec<Value> {
+pub async fn dead(service: &Service) -> Vec<Value> {
     let list: Value = service.get("/v1/webhooks/dead").send().await.unwrap().json().await.unwrap();
     list["webhooks"].as_array().unwrap().clone()
 }
@@ -119,30 +121,40 @@ async fn the_end_of_a_job_is_told_once_signed_and_without_patient_data() {
 
 #[tokio::test]
 async fn what_is_not_taken_is_sent_again_with_the_same_id() {
-    // An error, a redirect that is not followed; then too slow for --webhook-timeout on another message.
+    // An error, and a redirect that is not followed.
     let receiver = Receiver::start(&[Answer::Status(500), Answer::Status(307)]).await;
-    let slow = Receiver::start(&[Answer::Slow(60_000)]).await;
     let data = folder();
     let secret = done(&data, &["add", "pacs", "--url", &receiver.url()]);
-    done(&data, &["add", "slow", "--url", &slow.url()]);
     let service = Service::start_on(data, &QUICK);
     let job = service.accepted("", meshes::small()).await;
     service.ended(&job).await;
-    for (receiver, count) in [(&receiver, 3), (&slow, 2)] {
-        let messages = receiver.messages(count).await;
-        for message in &messages {
-            assert_eq!((message.id(), &message.body), (messages[0].id(), &messages[0].body));
-            assert_eq!(message.path, "/hook?token=a");
-        }
-        if count == 3 {
-            messages.iter().for_each(|message| message.assert_signed(&secret));
-        }
+    let messages = receiver.messages(3).await;
+    for message in &messages {
+        assert_eq!((message.id(), &message.body), (messages[0].id(), &messages[0].body));
+        assert_eq!(message.path, "/hook?token=a");
+        message.assert_signed(&secret);
     }
     nothing_waits(&service).await;
-    assert_eq!((receiver.came().len(), slow.came().len()), (3, 2));
-    for failure in ["it answered 500", "it answered 307", "timed out"] {
+    assert_eq!(receiver.came().len(), 3);
+    for failure in ["it answered 500", "it answered 307"] {
         assert!(service.log().contains(failure), "{failure}: {}", service.log());
     }
+}
+
+#[tokio::test]
+async fn a_target_that_does_not_answer_in_time_is_sent_it_again() {
+    let slow = Receiver::start(&[Answer::Slow(600_000)]).await;
+    let data = folder();
+    done(&data, &["add", "slow", "--url", &slow.url()]);
+    // A busy machine may miss the second for later tries as well: more come then, and each counts as one that was late.
+    let late = ["--webhook-retry", "1s", "--webhook-attempts", "100", "--webhook-timeout", "1s"];
+    let service = Service::start_on(data, &late);
+    let job = service.accepted("", meshes::small()).await;
+    service.ended(&job).await;
+    nothing_waits(&service).await;
+    let messages = slow.came();
+    assert!(messages.len() >= 2 && messages.iter().all(|message| message.id() == messages[0].id()));
+    assert!(service.log().matches("timed out").count() >= 1, "{}", service.log());
 }
 
 // Its receiver answers while the test waits for the service's end.
@@ -234,7 +246,8 @@ async fn only_an_admin_sees_what_was_given_up() {
     let data = folder();
     let key = |name: &str, scope: &str| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
-        command.env_remove("ROSALINE_KEYS").env("ROSALINE_DATA", data.path());
+        without_settings(&mut command);
+        command.env("ROSALINE_DATA", data.path());
         let output = command.args(["keys", "add", name, "--scope", scope]).output().unwrap();
         String::from_utf8(output.stdout).unwrap().trim().to_owned()
     };
@@ -260,52 +273,6 @@ async fn only_an_admin_sees_what_was_given_up() {
     let response = service.get("/metrics").bearer_auth(&admin).send().await.unwrap();
     assert!(response.text().await.unwrap().contains("rosaline_webhooks{state=\"dead\"} 0"));
     assert_eq!(receiver.came().len(), 1);
-}
-
-#[tokio::test]
-async fn targets_are_taken_over_while_the_service_runs() {
-    let (first, second) = (Receiver::start(&[]).await, Receiver::start(&[]).await);
-    let data = folder();
-    let service = Service::start_on(data.clone(), &QUICK);
-    let logged = async |text: &str, times: usize| {
-        let begin = Instant::now();
-        while service.log().matches(text).count() < times {
-            assert!(begin.elapsed() < PATIENCE, "{text}: {}", service.log());
-            tokio::time::sleep(Duration::from_millis(20)).await;
-        }
-    };
-    done(&data, &["add", "first", "--url", &first.url()]);
-    logged("targets have changed", 1).await;
-    let job = service.accepted("", meshes::small()).await;
-    service.ended(&job).await;
-    first.messages(1).await;
-    // A damaged file changes nothing.
-    let file = data.path().join("webhooks.json");
-    let whole = std::fs::read(&file).unwrap();
-    std::fs::write(&file, &whole[..whole.len() / 2]).unwrap();
-    logged("targets stay those before", 1).await;
-    let job = service.accepted("", meshes::small()).await;
-    service.ended(&job).await;
-    first.messages(2).await;
-    std::fs::write(&file, &whole).unwrap();
-    logged("targets have changed", 2).await;
-    done(&data, &["add", "second", "--url", &second.url()]);
-    done(&data, &["remove", "first"]);
-    logged("targets=1", 3).await;
-    let job = service.accepted("", meshes::small()).await;
-    service.ended(&job).await;
-    second.messages(1).await;
-    assert_eq!(first.came().len(), 2);
-
-    for wrong in [
-        vec!["add", "second", "--url", "http://127.0.0.1:1/"],
-        vec!["add", "x", "--url", "ftp://127.0.0.1/"],
-        vec!["add", "x", "--url", "http://127.0.0.1:1/", "--events", "begun"],
-        vec!["add", "a b", "--url", "http://127.0.0.1:1/"],
-        vec!["remove", "x"],
-    ] {
-        assert_eq!(webhooks(&data, &wrong).status.code(), Some(1), "{wrong:?}");
-    }
 }
 
 #[tokio::test]

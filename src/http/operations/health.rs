@@ -23,11 +23,15 @@ pub struct Health {
     /// Version of Rosaline.
     #[schema(example = "0.1.0")]
     version: &'static str,
+    /// What the operator should see to although jobs are taken; not there where there is nothing.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schema(required = false)]
+    warnings: Vec<String>,
 }
 
 impl Health {
-    fn response(status: &'static str) -> Response {
-        let body = Json(Self { status, version: env!("CARGO_PKG_VERSION") });
+    fn response(status: &'static str, warnings: Vec<String>) -> Response {
+        let body = Json(Self { status, version: env!("CARGO_PKG_VERSION"), warnings });
         ([(header::CACHE_CONTROL, "no-store")], body).into_response()
     }
 }
@@ -43,12 +47,13 @@ impl Health {
     responses(document::Healthy)
 )]
 pub async fn healthz() -> Response {
-    Health::response("ok")
+    Health::response("ok", Vec::new())
 }
 
 /// Whether the service takes jobs
 ///
-/// Tries the job store and the disk. When this fails, send no requests; the problem's `reasons` say why.
+/// Tries the job store and the disk. When this fails, send no requests; the problem's `reasons` say why. A clock that
+/// cannot be trusted, and a TLS certificate that is about to expire, are `warnings`: jobs are taken all the same.
 #[utoipa::path(
     get,
     path = "/readyz",
@@ -58,9 +63,15 @@ pub async fn healthz() -> Response {
 )]
 pub async fn readyz(State(app): State<App>) -> Result<Response, Problem> {
     match app.jobs().ready().await {
-        Ok(()) => Ok(Health::response("ready")),
+        Ok(()) => Ok(Health::response("ready", warnings(&app))),
         Err(unready) => Err(Problem::new(&NOT_READY, unready.to_string())
             .with("reasons", unready.reasons)
             .header(header::RETRY_AFTER, RETRY_AFTER)),
     }
+}
+
+fn warnings(app: &App) -> Vec<String> {
+    let clock = app.jobs().clock_doubt().map(|doubt| doubt.to_string());
+    let certificate = app.tls().and_then(|tls| tls.expiry()).and_then(|expiry| expiry.warning());
+    clock.into_iter().chain(certificate).collect()
 }

@@ -24,6 +24,7 @@ pub async fn metrics(State(app): State<App>) -> Result<Response, Problem> {
     let mut text = Exposition::default();
     write_load(&mut text, &app.jobs().load().await?);
     write_deliveries(&mut text, app.jobs().delivery_counts().await.map_err(JobError::from)?);
+    write_warnings(&mut text, &app);
     app.counters().write(&mut text);
     let headers = [(header::CONTENT_TYPE, MEDIA_TYPE), (header::CACHE_CONTROL, "no-store")];
     Ok((headers, text.into_text()).into_response())
@@ -65,4 +66,14 @@ fn write_deliveries(text: &mut Exposition, counts: DeliveryCounts) {
     text.gauge("webhooks", "Webhooks that were not delivered yet, or given up.");
     text.sample(&[("state", "waiting")], counts.waiting as f64);
     text.sample(&[("state", "dead")], counts.dead as f64);
+}
+
+fn write_warnings(text: &mut Exposition, app: &App) {
+    text.gauge("clock_doubted", "1 while the clock cannot be trusted and nothing is removed for its age.");
+    text.sample(&[], u8::from(app.jobs().clock_doubt().is_some()));
+    if let Some(expiry) = app.tls().and_then(|tls| tls.expiry()) {
+        let help = "When the TLS certificate expires, in seconds since 1970.";
+        text.gauge("tls_certificate_expiry_timestamp_seconds", help);
+        text.sample(&[], expiry.0.unix_timestamp());
+    }
 }

@@ -8,10 +8,14 @@
 #[cfg(debug_assertions)]
 mod armed;
 #[cfg(debug_assertions)]
+mod deliveries;
+#[cfg(debug_assertions)]
 mod store;
 
 use std::io;
 
+#[cfg(debug_assertions)]
+pub(super) use deliveries::FaultyDeliveries;
 #[cfg(debug_assertions)]
 pub(super) use store::FaultyStore;
 
@@ -71,6 +75,13 @@ operations! {
     StoreEndedBy = "store-ended-by";
     StoreNoteExpired = "store-note-expired";
     StoreForgetExpired = "store-forget-expired";
+    // Commits of what is to be told.
+    StoreListen = "store-listen";
+    StoreReleaseDeliveries = "store-release-deliveries";
+    StoreClaimDelivery = "store-claim-delivery";
+    StoreSettleDelivery = "store-settle-delivery";
+    StoreRevive = "store-revive";
+    StoreForgetDead = "store-forget-dead";
     // The run, in the service's process and in its own.
     Run = "run";
     Method = "method";

@@ -15,7 +15,10 @@ use crate::jobs::{Counts, Job, JobFailure, JobId, Lease, StoredArtifact};
 pub struct FaultyStore(pub Arc<dyn JobStore>);
 
 /// A commit between its points.
-fn commit<'a, T: Send + 'a>(operation: Operation, commit: StoreFuture<'a, T>) -> StoreFuture<'a, T> {
+pub(super) fn commit<'a, T: Send + 'a>(
+    operation: Operation,
+    commit: StoreFuture<'a, T>,
+) -> StoreFuture<'a, T> {
     async move {
         pass(operation, Side::Before).map_err(failed)?;
         let done = commit.await?;
@@ -25,7 +28,7 @@ fn commit<'a, T: Send + 'a>(operation: Operation, commit: StoreFuture<'a, T>) ->
     .boxed()
 }
 
-fn failed(error: io::Error) -> StoreError {
+pub(super) fn failed(error: io::Error) -> StoreError {
     match error.kind() {
         io::ErrorKind::StorageFull => StoreError::Full(sqlx::Error::Io(error)),
         _ => StoreError::Unavailable(sqlx::Error::Io(error)),
@@ -33,6 +36,10 @@ fn failed(error: io::Error) -> StoreError {
 }
 
 impl RetentionStore for FaultyStore {
+    fn newest_created(&self) -> StoreFuture<'_, Option<i64>> {
+        self.0.newest_created()
+    }
+
     fn ended_before(&self, time: i64, limit: u32) -> StoreFuture<'_, Vec<JobId>> {
         self.0.ended_before(time, limit)
     }

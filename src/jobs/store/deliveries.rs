@@ -7,11 +7,14 @@ use sqlx::any::AnyRow;
 use super::row::Columns;
 use super::sql::SqlStore;
 use super::{DeliveryStore, StoreError, StoreFuture};
-use crate::jobs::{Delivery, DeliveryCounts, JobStatus, Lease, Listener, Told};
+use crate::jobs::{Delivery, DeliveryCounts, JobStatus, LONGEST_WAIT, Lease, Listener, Told};
 
-/// No delivery waits for longer than this, milliseconds: one that is due later was written before the clock was set
-/// back.
-const FURTHEST: i64 = 7 * 24 * 60 * 60 * 1000;
+/// A delivery that is due further ahead than any waits, and an hour, was written before the clock was set back: it is due
+/// now. Milliseconds.
+const FURTHEST: i64 = (LONGEST_WAIT.as_millis() as i64) + 60 * 60 * 1000;
+
+/// Why what waits for a target that is gone is given up.
+const GONE: &str = "its target is no longer set";
 
 /// The ends of jobs that a target hears of, as the trigger looks for them.
 fn events(listener: &Listener) -> String {
@@ -57,12 +60,20 @@ impl DeliveryStore for SqlStore {
                     .execute(&mut *transaction)
                     .await?;
             }
-            let sql = "UPDATE webhook_deliveries SET state = 'dead', died = $1, lease = NULL, \
-                       failure = 'its target is no longer set' \
+            let sql = "UPDATE webhook_deliveries SET state = 'dead', died = $1, lease = NULL, failure = $2 \
                        WHERE state = 'waiting' AND lease IS NULL AND target NOT IN (SELECT name FROM webhook_targets)";
-            sqlx::query(sql).bind(now).execute(&mut *transaction).await?;
+            sqlx::query(sql).bind(now).bind(GONE).execute(&mut *transaction).await?;
             transaction.commit().await?;
             Ok(())
+        }
+        .boxed()
+    }
+
+    fn count_listeners(&self) -> StoreFuture<'_, u64> {
+        async move {
+            let rows = self.rows(sqlx::query("SELECT COUNT(*) AS targets FROM webhook_targets")).await?;
+            let count: i64 = rows.first().map_or(Ok(0), |row| row.try_get("targets"))?;
+            Ok(u64::try_from(count).unwrap_or(0))
         }
         .boxed()
     }
@@ -114,10 +125,15 @@ impl DeliveryStore for SqlStore {
                     sqlx::query(sql).bind(id).bind(lease.as_str())
                 }
                 Told::Later { after, failure } => {
-                    let sql = "UPDATE webhook_deliveries SET lease = NULL, due = $3, failure = $4 \
+                    let sql = "UPDATE webhook_deliveries SET lease = NULL, due = $3, failure = $4, \
+                               state = CASE WHEN target IN (SELECT name FROM webhook_targets) \
+                               THEN 'waiting' ELSE 'dead' END, \
+                               died = CASE WHEN target IN (SELECT name FROM webhook_targets) \
+                               THEN NULL ELSE $5 END \
                                WHERE id = $1 AND lease = $2";
                     let due = now.saturating_add(*after);
-                    sqlx::query(sql).bind(id).bind(lease.as_str()).bind(due).bind(failure.clone())
+                    let query = sqlx::query(sql).bind(id).bind(lease.as_str()).bind(due);
+                    query.bind(failure.clone()).bind(now)
                 }
                 Told::Never { failure } => {
                     let sql = "UPDATE webhook_deliveries SET lease = NULL, state = 'dead', died = $3, failure = $4 \

@@ -75,6 +75,9 @@ pub struct Recovered {
 
 /// What retention needs of the table of jobs.
 pub trait RetentionStore {
+    /// When the newest job came, by the clock of then.
+    fn newest_created(&self) -> StoreFuture<'_, Option<i64>>;
+
     /// Jobs that ended at `time` or before, oldest first.
     fn ended_before(&self, time: i64, limit: u32) -> StoreFuture<'_, Vec<JobId>>;
 
@@ -103,6 +106,8 @@ pub trait DeliveryStore: Send + Sync + 'static {
     /// Replaces the listeners; what waits for one that is gone, and is not under way, is given up.
     fn set_listeners<'a>(&'a self, listeners: &'a [Listener], now: i64) -> StoreFuture<'a, ()>;
 
+    fn count_listeners(&self) -> StoreFuture<'_, u64>;
+
     /// What was under way is due again. For the start of a process that has the store for itself.
     fn release_deliveries(&self, now: i64) -> StoreFuture<'_, u64>;
 
@@ -118,7 +123,8 @@ pub trait DeliveryStore: Send + Sync + 'static {
         until: i64,
     ) -> StoreFuture<'a, Option<Delivery>>;
 
-    /// Removes, puts off or gives up a delivery that is still under `lease`; whether it was.
+    /// Removes, puts off or gives up a delivery that is still under `lease`; whether it was. One that is put off is given
+    /// up as well where its listener is gone: nobody would claim it.
     fn settle_delivery<'a>(
         &'a self,
         id: &'a str,

@@ -10,6 +10,14 @@ use crate::jobs::JobId;
 use futures::FutureExt;
 
 impl RetentionStore for SqlStore {
+    fn newest_created(&self) -> StoreFuture<'_, Option<i64>> {
+        async move {
+            let rows = self.rows(sqlx::query("SELECT MAX(created) AS newest FROM jobs")).await?;
+            Ok(rows.first().map(|row| row.try_get("newest")).transpose()?.flatten())
+        }
+        .boxed()
+    }
+
     fn ended_before(&self, time: i64, limit: u32) -> StoreFuture<'_, Vec<JobId>> {
         async move {
             let sql = "SELECT id FROM jobs WHERE finished <= $1 AND status NOT IN ('accepted', 'running') \

@@ -32,7 +32,8 @@ struct Ended<'a> {
     href: String,
 }
 
-/// The body of a delivery, the same at every try.
+/// The body of a delivery, the same at every try, but for the client's reference: it may be patient data, and goes with a
+/// job that is purged between two tries.
 pub(super) fn body(delivery: &Delivery) -> serde_json::Result<String> {
     serde_json::to_string(&Payload {
         kind: format!("job.{}", delivery.status.name()),

@@ -3,9 +3,10 @@
 use std::num::NonZeroU32;
 use std::time::Duration;
 
-/// How much longer each wait is than the one before, and the longest.
+use crate::jobs::LONGEST_WAIT;
+
+/// How much longer each wait is than the one before.
 const FACTOR: u32 = 3;
-const LONGEST: Duration = Duration::from_secs(12 * 60 * 60);
 
 /// Waits that grow, up to a number of tries.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,9 +25,9 @@ impl Schedule {
             return None;
         }
         let factor = FACTOR.saturating_pow(tries.saturating_sub(1));
-        let wait = self.first.saturating_mul(factor).min(LONGEST);
+        let wait = self.first.saturating_mul(factor).min(LONGEST_WAIT);
         let spread = wait.mul_f64(0.75 + 0.25 * random.clamp(0.0, 1.0));
-        Some(spread.max(asked.unwrap_or_default().min(LONGEST)))
+        Some(spread.max(asked.unwrap_or_default().min(LONGEST_WAIT)))
     }
 }
 

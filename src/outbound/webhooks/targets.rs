@@ -4,8 +4,10 @@ use std::collections::HashSet;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
+use time::OffsetDateTime;
 
 use super::super::Url;
 use super::signature::Secret;
@@ -20,12 +22,18 @@ pub enum TargetError {
     Io { path: String, source: io::Error },
     #[error("the webhook file {path} is damaged: {detail}; mend it, or remove it and add the targets again")]
     Damaged { path: String, detail: String },
+    #[error(
+        "the webhook file {0} is not there; put it back, or make one with 'rosaline webhooks add NAME --url URL'"
+    )]
+    Missing(String),
     #[error("a name has 1 to {NAME_CHARS} letters, digits, '.', '_' and '-'")]
     Name,
     #[error("there is a target '{0}' already; remove it first, or choose another name")]
     Taken(String),
     #[error("there is no target '{0}'; 'rosaline webhooks list' shows what there is")]
     Unknown(String),
+    #[error("the old secret would be valid for thousands of years; give a shorter --overlap")]
+    Overlap,
     #[error("the system gives no random numbers: {0}")]
     Random(getrandom::Error),
 }
@@ -38,10 +46,32 @@ pub struct Target {
     pub url: Url,
     /// What its messages are signed with.
     pub secret: Secret,
+    /// The secret before, with which they are signed as well until its time is up.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub former: Option<Former>,
     pub events: Vec<Event>,
     /// Only jobs of this principal; everybody's where there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub owner: Option<String>,
+}
+
+/// A secret that was replaced.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Former {
+    secret: Secret,
+    #[serde(with = "time::serde::rfc3339")]
+    until: OffsetDateTime,
+}
+
+impl Target {
+    /// The header `webhook-signature` of a message that is sent at this second: while a secret is exchanged a signature by
+    /// each, with a space between (Standard Webhooks, "Signature scheme" and "Secret rotation").
+    pub(super) fn sign(&self, id: &str, timestamp: i64, body: &str) -> String {
+        let former = self.former.as_ref().filter(|former| timestamp < former.until.unix_timestamp());
+        let secrets = std::iter::once(&self.secret).chain(former.map(|former| &former.secret));
+        secrets.map(|secret| secret.sign(id, timestamp, body)).collect::<Vec<_>>().join(" ")
+    }
 }
 
 /// An end of a job, as it is named in messages.
@@ -112,9 +142,14 @@ impl TargetFile {
 
     /// The targets; none where there is no file.
     pub fn list(&self) -> Result<Vec<Target>, TargetError> {
+        Ok(self.read()?.unwrap_or_default())
+    }
+
+    /// The targets; `None` where there is no file.
+    pub(super) fn read(&self) -> Result<Option<Vec<Target>>, TargetError> {
         let text = match fs::read(&self.path) {
             Ok(text) => text,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(source) => return Err(self.failed(source)),
         };
         let damaged = |detail: String| TargetError::Damaged { path: self.path.display().to_string(), detail };
@@ -126,7 +161,12 @@ impl TargetFile {
                 return Err(damaged(format!("'{name}' is there twice")));
             }
         }
-        Ok(kept.targets)
+        Ok(Some(kept.targets))
+    }
+
+    /// That it is not there.
+    pub fn missing(&self) -> TargetError {
+        TargetError::Missing(self.path.display().to_string())
     }
 
     /// Adds a target with a new secret; the secret's text.
@@ -144,7 +184,8 @@ impl TargetFile {
             if targets.iter().any(|target| target.name == name) {
                 return Err(TargetError::Taken(name.to_owned()));
             }
-            targets.push(Target { name: name.to_owned(), url, secret, events: events.to_vec(), owner });
+            let (name, events) = (name.to_owned(), events.to_vec());
+            targets.push(Target { name, url, secret, former: None, events, owner });
             Ok(())
         })?;
         Ok(text)
@@ -156,6 +197,24 @@ impl TargetFile {
             targets.remove(place.ok_or_else(|| TargetError::Unknown(name.to_owned()))?);
             Ok(())
         })
+    }
+
+    /// Gives a target a new secret; the old one's signature goes with messages for `overlap` from now on. The new one's
+    /// text.
+    pub fn rotate(&self, name: &str, overlap: Duration) -> Result<String, TargetError> {
+        let secret = Secret::random().map_err(TargetError::Random)?;
+        let text = secret.expose();
+        self.change(|targets| {
+            let target = targets.iter_mut().find(|target| target.name == name);
+            let target = target.ok_or_else(|| TargetError::Unknown(name.to_owned()))?;
+            let seconds = i64::try_from(overlap.as_secs()).unwrap_or(i64::MAX);
+            let until = OffsetDateTime::now_utc().checked_add(time::Duration::seconds(seconds));
+            let until = until.ok_or(TargetError::Overlap)?;
+            let former = std::mem::replace(&mut target.secret, secret);
+            target.former = (seconds > 0).then_some(Former { secret: former, until });
+            Ok(())
+        })?;
+        Ok(text)
     }
 
     fn change(
@@ -204,10 +263,26 @@ mod tests {
             );
         }
         let targets = file.list().unwrap();
-        assert_eq!((targets.len(), targets[0].secret.expose()), (2, secret));
+        assert_eq!((targets.len(), targets[0].secret.expose()), (2, secret.clone()));
         assert_eq!(Listener::from(&targets[1]).ends, [JobStatus::Failed]);
         #[cfg(unix)]
         assert_eq!(std::os::unix::fs::MetadataExt::mode(&fs::metadata(file.path()).unwrap()) & 0o777, 0o600);
+        let minute = Duration::from_secs(60);
+        let renewed = file.rotate("pacs", minute).unwrap();
+        let target = file.list().unwrap().remove(0);
+        assert_eq!(target.secret.expose(), renewed);
+        let now = OffsetDateTime::now_utc().unix_timestamp();
+        let by = |text: &str, at| Secret::try_from(text.to_owned()).unwrap().sign("a", at, "b");
+        assert_eq!(target.sign("a", now, "b"), format!("{} {}", by(&renewed, now), by(&secret, now)));
+        assert_eq!(target.sign("a", now + 61, "b"), by(&renewed, now + 61), "its time is up");
+        // A second exchange leaves the last two, and one without an overlap the new one alone.
+        let third = file.rotate("pacs", minute).unwrap();
+        let target = file.list().unwrap().remove(0);
+        assert_eq!(target.sign("a", now, "b"), format!("{} {}", by(&third, now), by(&renewed, now)));
+        let fourth = file.rotate("pacs", Duration::ZERO).unwrap();
+        assert_eq!(file.list().unwrap()[0].sign("a", now, "b"), by(&fourth, now));
+        assert!(matches!(file.rotate("pacs", Duration::MAX), Err(TargetError::Overlap)));
+        assert!(matches!(file.rotate("x", minute), Err(TargetError::Unknown(_))));
         file.remove("pacs").unwrap();
         assert!(matches!(file.remove("pacs"), Err(TargetError::Unknown(_))));
         let whole = fs::read_to_string(file.path()).unwrap();

@@ -3,6 +3,7 @@
 //! `Operation::ALL` is the list: a new one that no wish here comes by fails the test.
 
 mod client;
+mod webhooks;
 
 use std::process::Command;
 
@@ -10,6 +11,7 @@ use rosaline::jobs::faults::{Operation, VARIABLE};
 use tempfile::TempDir;
 
 use crate::meshes;
+use crate::webhooks::metric;
 use client::Client;
 
 /// Where an operation is done.
@@ -22,6 +24,8 @@ enum Where {
     Stop,
     /// In the process of a run.
     Run,
+    /// Where jobs' ends are told.
+    Webhooks,
     /// In `rosaline keys`.
     Keys,
 }
@@ -32,6 +36,12 @@ fn place(operation: Operation) -> Where {
         | Operation::StoreEndedBy
         | Operation::StoreNoteExpired
         | Operation::StoreForgetExpired => Where::Retention,
+        Operation::StoreListen
+        | Operation::StoreReleaseDeliveries
+        | Operation::StoreClaimDelivery
+        | Operation::StoreSettleDelivery
+        | Operation::StoreRevive
+        | Operation::StoreForgetDead => Where::Webhooks,
         Operation::StoreRelease => Where::Stop,
         Operation::Method => Where::Run,
         Operation::OperatorFileWrite | Operation::OperatorFileSync | Operation::OperatorFileRename => {
@@ -131,6 +141,17 @@ async fn a_panic_at_any_point_of_a_job_is_borne() {
         assert!(client.pursue().await.is_ok(), "{operation:?}: {}", client.service().log());
         assert!(client.came_by(operation).await, "no process came by {operation:?}");
     }
+}
+
+/// The commit may have happened when its error came: the job's end is counted all the same.
+#[tokio::test]
+async fn an_end_whose_commit_is_in_doubt_is_counted() {
+    let mut client = Client::new(&[]);
+    assert!(client.start(&armed(Operation::StoreSucceed, "after", "error")));
+    let service = client.service();
+    let job = service.accepted("", meshes::stl(&meshes::tube(20, 12))).await;
+    assert_eq!(service.ended(&job).await["status"], "successful");
+    metric(service, "rosaline_jobs_ended_total{state=\"successful\"} 1").await;
 }
 
 #[tokio::test]

@@ -1,7 +1,7 @@
 //! What is to be told of jobs' ends: written with the end, claimed by one, kept until it is told or given up.
 
 use super::*;
-use crate::jobs::{Listener, Told};
+use crate::jobs::{LONGEST_WAIT, Listener, Told};
 
 fn listener(name: &str, owner: Option<&str>, ends: &[JobStatus]) -> Listener {
     Listener { name: name.to_owned(), owner: owner.map(str::to_owned), ends: ends.to_vec() }
@@ -118,11 +118,20 @@ async fn a_delivery_is_one_senders_until_its_lease_runs_out() {
     assert!(!store.settle_delivery(&third.id, &lease, &Told::Yes, 3_152).await.unwrap());
     let (fourth, lease) = fixture.next("all", 3_152).await.unwrap();
     assert_eq!(fourth.id, first.id);
-    // A clock that is set back by a year delays nothing for a year.
-    let year = 365 * 24 * 60 * 60 * 1000;
-    let later = Told::Later { after: 1_000, failure: String::new() };
-    assert!(store.settle_delivery(&fourth.id, &lease, &later, year).await.unwrap());
-    assert!(fixture.next("all", 4_000).await.is_some());
+    // The longest wait is one.
+    let longest = i64::try_from(LONGEST_WAIT.as_millis()).unwrap();
+    let later = Told::Later { after: longest, failure: String::new() };
+    assert!(store.settle_delivery(&fourth.id, &lease, &later, 4_000).await.unwrap());
+    assert!(fixture.next("all", 4_000).await.is_none());
+    // A clock that is set back by a day, or a year, delays nothing for that long.
+    for back in [1, 365] {
+        let (delivery, lease) = fixture.next("all", 4_000 + longest).await.unwrap();
+        let later = Told::Later { after: 1_000, failure: String::new() };
+        let now = 4_000 + back * 24 * 60 * 60 * 1000;
+        assert!(store.settle_delivery(&delivery.id, &lease, &later, now).await.unwrap());
+        let (delivery, lease) = fixture.next("all", 4_000).await.unwrap();
+        assert!(store.settle_delivery(&delivery.id, &lease, &later, 4_000).await.unwrap());
+    }
 }
 
 #[tokio::test]
@@ -176,4 +185,22 @@ async fn a_target_that_goes_is_told_nothing_and_a_purged_jobs_reference_goes_wit
     let dead = store.dead(None, 10).await.unwrap();
     assert_eq!((dead.len(), dead[0].failure.as_deref()), (2, Some("its target is no longer set")));
     assert!(!store.revive(&dead[0].id, 5_000).await.unwrap(), "there is nobody to tell");
+}
+
+#[tokio::test]
+async fn what_is_under_way_to_a_target_that_goes_is_given_up_when_it_fails() {
+    let fixture = Fixture::listening(&[listener("all", None, &ENDS)]).await;
+    let store = &fixture.store;
+    fixture.succeeded().await;
+    let (delivery, lease) = fixture.next("all", FAR).await.unwrap();
+    store.set_listeners(&[], FAR).await.unwrap();
+    assert_eq!(store.count_listeners().await.unwrap(), 0);
+    let later = Told::Later { after: 50, failure: "it answered 500".to_owned() };
+    assert!(store.settle_delivery(&delivery.id, &lease, &later, FAR + 1).await.unwrap());
+    assert_eq!(store.count_deliveries().await.unwrap(), DeliveryCounts { waiting: 0, dead: 1 });
+    let dead = store.dead(None, 1).await.unwrap().remove(0);
+    assert_eq!((dead.died, dead.failure.as_deref()), (Some(FAR + 1), Some("it answered 500")));
+    // It can be sent again once the target is back.
+    store.set_listeners(&[listener("all", None, &ENDS)], FAR + 2).await.unwrap();
+    assert!(store.revive(&delivery.id, FAR + 3).await.unwrap());
 }
