@@ -257,3 +257,19 @@ fn the_map_names_every_module() {
     }
     assert!(missing.is_empty(), "ARCHITECTURE.md does not name {missing:#?}");
 }
+
+#[test]
+fn the_table_of_promises_names_tests_that_there_are() {
+    let text = fs::read_to_string(root().join("docs/reliability.md")).unwrap();
+    let (_, table) = text.split_once("## What shows which promise").unwrap();
+    let is_test = |word: &&str| {
+        word.matches('_').count() > 2 && word.chars().all(|one| one == '_' || one.is_ascii_lowercase())
+    };
+    let named: Vec<&str> = table.split('`').skip(1).step_by(2).filter(is_test).collect();
+    assert!(named.len() > 50, "{}", named.len());
+    let files = ["src", "tests"].map(sources).concat();
+    let code: String = files.iter().map(|path| fs::read_to_string(path).unwrap()).collect();
+    for test in named {
+        assert!(code.contains(&format!("fn {test}()")), "{test}");
+    }
+}

@@ -19,6 +19,7 @@ use crate::http::audit::Trail;
 use crate::http::{self, App, Limits, Tls};
 use crate::jobs::isolation::{Isolated, JOB_MEMORY};
 use crate::jobs::{JobService, Retention, Settings, Spans, TooManyWorkers, log_panics_without_text};
+use crate::mesh;
 use crate::outbound::webhooks::{self, Schedule, TargetFile};
 
 use args::LogFormat;
@@ -57,6 +58,7 @@ async fn serve(args: Args, spans: Spans) -> Result<(), Failure> {
         jobs_per_principal: args.max_jobs_each.get(),
         run: args.max_run.0,
         job_memory: args.max_memory.0,
+        mesh: mesh_limits(&args),
         ..Limits::default()
     };
     let gate = gate(&args)?;
@@ -139,6 +141,11 @@ fn webhook_settings(args: &Args) -> webhooks::Settings {
         schedule: Schedule { first: args.webhook_retry.0, attempts: args.webhook_attempts },
         timeout: args.webhook_timeout.0,
     }
+}
+
+fn mesh_limits(args: &Args) -> mesh::format::Limits {
+    let triangles = args.max_triangles.get();
+    mesh::format::Limits { triangles, vertices: triangles.div_ceil(2), ..Default::default() }
 }
 
 pub(super) fn settings(args: &Args) -> Result<Settings, TooManyWorkers> {

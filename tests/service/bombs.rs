@@ -78,3 +78,38 @@ async fn a_compressed_body_is_refused_with_what_to_send() {
         service.post("/v1/jobs").header("content-type", "model/stl").header("content-encoding", "identity");
     assert_eq!(plain.body(meshes::small()).send().await.unwrap().status(), 201);
 }
+
+#[tokio::test]
+async fn the_worst_meshes_take_no_more_than_the_doctor_counts() {
+    const TRIANGLES: usize = 400_000;
+    let most = TRIANGLES.to_string();
+    let limit = ["--max-triangles", &most, "--validations", "1", "--workers", "1", "--threads", "1"];
+    let vertices: String =
+        (0..TRIANGLES / 2).map(|place| format!("v {} {} 0\n", place % 2, place / 2)).collect();
+    let dense = |triangles: usize| format!("{vertices}{}", "f 1 2 3\n".repeat(triangles)).into_bytes();
+    // As many triangles that share no vertex as there may be vertices for.
+    let mut soup = [&[0; 80][..], &u32::try_from(TRIANGLES / 6).unwrap().to_le_bytes()].concat();
+    for place in 0..TRIANGLES / 6 {
+        let x = place as f32;
+        let corners = [[x, 0.0, 0.0], [x, 1.0, 0.0], [x, 0.0, 1.0]];
+        soup.extend(
+            [0.0; 3].iter().chain(corners.iter().flatten()).flat_map(|number: &f32| number.to_le_bytes()),
+        );
+        soup.extend([0; 2]);
+    }
+    for (name, mesh) in [("dense", dense(TRIANGLES)), ("soup", soup)] {
+        let service = Service::start(&limit);
+        let before = service.peak_memory();
+        let file = mesh.len() as u64 >> 20;
+        let response = service.submit("?dry_run=true", mesh).await;
+        assert_eq!(response.status(), 200, "{}", response.text().await.unwrap());
+        let grown = service.peak_memory() - before;
+        println!("{name}: {grown} MiB, of which the file {file}");
+        // 250 bytes a triangle, the file, and what a request takes whatever is in it.
+        assert!(grown <= (250 * TRIANGLES as u64 >> 20) + file + 24, "{name}: {grown} MiB");
+    }
+    let service = Service::start(&limit);
+    let limits: Value = service.get("/v1/limits").send().await.unwrap().json().await.unwrap();
+    assert_eq!((&limits["triangles"], &limits["vertices"]), (&TRIANGLES.into(), &(TRIANGLES / 2).into()));
+    problem(service.submit("", dense(TRIANGLES + 1)).await, 413, "too-large").await;
+}

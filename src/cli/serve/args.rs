@@ -36,6 +36,9 @@ pub struct Args {
     /// Largest mesh, in bytes or with KiB, MiB or GiB.
     #[arg(long, env = "ROSALINE_MAX_UPLOAD", default_value = "1GiB", value_name = "SIZE")]
     pub max_upload: Size,
+    /// Triangles of the largest mesh; it may have half as many vertices. They bound the memory of a check.
+    #[arg(long, env = "ROSALINE_MAX_TRIANGLES", default_value = "40000000", value_name = "N")]
+    pub max_triangles: NonZeroUsize,
     /// Uploads that are read and checked at the same time; each takes its file's size and its mesh in memory.
     #[arg(long, env = "ROSALINE_VALIDATIONS", default_value = "2", value_name = "N")]
     pub validations: NonZeroUsize,
