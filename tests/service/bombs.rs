@@ -106,7 +106,7 @@ async fn the_worst_meshes_take_no_more_than_the_doctor_counts() {
         let grown = service.peak_memory() - before;
         println!("{name}: {grown} MiB, of which the file {file}");
         // 250 bytes a triangle, the file, and what a request takes whatever is in it.
-        assert!(grown <= (250 * TRIANGLES as u64 >> 20) + file + 24, "{name}: {grown} MiB");
+        assert!(grown <= ((250 * TRIANGLES as u64) >> 20) + file + 24, "{name}: {grown} MiB");
     }
     let service = Service::start(&limit);
     let limits: Value = service.get("/v1/limits").send().await.unwrap().json().await.unwrap();
