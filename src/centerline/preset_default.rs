@@ -20,7 +20,7 @@ use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, observe, 
 use crate::centerline::recentering::approach::{Approach, run_up};
 use crate::centerline::recentering::displaced::settle_displaced;
 use crate::centerline::recentering::ends::{EndPoint, end_point, far_wall, follow_rings};
-use crate::centerline::recentering::joint_fit::{FittedJoint, FittedLimb, fit_joint};
+use crate::centerline::recentering::joint_fit::{FittedJoint, FittedLimb, carry_hidden, fit_joint};
 use crate::centerline::recentering::joints::{joint_centre, run_to_centre};
 use crate::centerline::recentering::sweep::recenter_branches;
 use crate::centerline::segmentation::level_sets::LevelSet;
@@ -69,7 +69,7 @@ pub fn extract_component(
     control.report(Stage::Recentering, 0.0)?;
     reach_ends(grid, &mut network, control)?;
     meet_in_joints(grid, &owners, &mut network, control)?;
-    recenter_branches(surface, &mut network, control)?;
+    recenter_branches(grid, &mut network, control)?;
     fit_joints(grid, &mut network, control)?;
     control.report(Stage::Connection, 0.0)?;
     let mut result = network.connect();
@@ -344,9 +344,7 @@ fn place(grid: &TriangleGrid<'_>, network: &mut Network, node: usize, joint: &Fi
         network.oriented(way.track, way.at_end, |track| {
             let firm = track.stations.len() - way.replaced;
             if way.hidden {
-                for (i, station) in track.stations[firm..].iter_mut().enumerate() {
-                    station.point += moved * ((i + 1) as f64 / (way.replaced + 1) as f64).powi(2);
-                }
+                carry_hidden(&mut track.stations, firm, &moved);
                 return;
             }
             track.stations.truncate(firm);

@@ -64,6 +64,8 @@ fn in_opening(line: &CurveEnd, centre: &Point3<f64>, radius: f64) -> Point3<f64>
 pub fn follow_rings(grid: &TriangleGrid<'_>, track: &mut Track, tip: u32) {
     /// How much farther than the wall ahead the tip lies, in radii.
     const SHORT: f64 = 0.8;
+    /// A way to the tip that is longer than this, in radii, is no mere cap's.
+    const LONG: f64 = 2.5;
     /// Level sets this near to a tip lie aslant, in radii.
     const ASLANT: f64 = 1.2;
     /// How firmly a level set's middle holds the line, against a section's.
@@ -72,7 +74,8 @@ pub fn follow_rings(grid: &TriangleGrid<'_>, track: &mut Track, tip: u32) {
     let Some(last) = track.stations.last().cloned() else { return };
     let radius = last.section_radius;
     let ahead = grid.way_out(&last.point, &last.tangent).unwrap_or(0.0);
-    if (tip - last.point).dot(&last.tangent) < ahead + SHORT * radius {
+    let away = (tip - last.point).dot(&last.tangent);
+    if away < ahead + SHORT * radius && away < LONG * radius {
         return;
     }
     let mut before = last;

@@ -201,3 +201,52 @@ fn wall_around(surface: &Surface, starts: &[Start], centre: &Point3<f64>) -> Vec
     found.sort_unstable();
     found.into_iter().filter(chosen).map(|v| surface.mesh.vertices[v as usize]).collect()
 }
+
+/// Carries the stations past the first `firm` along with a joint that moved: they hide in a wider branch, where no wall
+/// says how the vessel runs. Its radius goes on as it changes before.
+pub fn carry_hidden(stations: &mut [Station], firm: usize, moved: &Vector3<f64>) {
+    /// As far as a vessel may widen or narrow unseen.
+    const CHANGE: std::ops::RangeInclusive<f64> = 0.5..=1.6;
+    let (seen, hidden) = stations.split_at_mut(firm);
+    let Some(last) = seen.last() else { return };
+    let (taper, radius) = (taper(seen), last.radius);
+    let (mut before, mut along) = (last.point, 0.0);
+    let count = hidden.len() + 1;
+    for (i, station) in hidden.iter_mut().enumerate() {
+        along += (station.point - std::mem::replace(&mut before, station.point)).norm();
+        station.radius = (radius + taper * along).clamp(CHANGE.start() * radius, CHANGE.end() * radius);
+        station.point += moved * ((i + 1) as f64 / count as f64).powi(2);
+    }
+}
+
+/// Change of the radius along the line at the end of a run of stations.
+fn taper(stations: &[Station]) -> f64 {
+    /// Length of line that shows it, in radii: about as much as may follow unseen.
+    const RUN: f64 = 10.0;
+    let Some(last) = stations.last() else { return 0.0 };
+    let far = |s: &&Station| (s.point - last.point).norm() > RUN * last.radius;
+    let before = stations.iter().rev().find(far).or(stations.first());
+    before.map_or(0.0, |s| (last.radius - s.radius) / (last.point - s.point).norm().max(f64::MIN_POSITIVE))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_hidden_way_goes_on_tapering_and_follows_its_joint() {
+        let station = |i: u32| {
+            let z = 0.5 * f64::from(i);
+            let mut station = Station::rough(Point3::new(0.0, 0.0, z), Vector3::z_axis(), 1.0, 0);
+            station.radius = if i < 30 { 1.0 + 0.01 * z } else { 5.0 };
+            station
+        };
+        let mut stations: Vec<Station> = (0..40).map(station).collect();
+        carry_hidden(&mut stations, 30, &Vector3::x());
+        for (i, station) in stations.iter().enumerate() {
+            let expected = 1.0 + 0.01 * station.point.z;
+            assert!((station.radius - expected).abs() < 1e-9, "{} at station {i}", station.radius);
+        }
+        assert_eq!((stations[29].point.x, stations[39].point.x), (0.0, (10.0_f64 / 11.0).powi(2)));
+    }
+}

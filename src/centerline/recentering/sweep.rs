@@ -15,15 +15,17 @@ use rayon::prelude::*;
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::connection::network::Network;
-use crate::centerline::connection::subsampling::settle_radii;
+use crate::centerline::connection::subsampling::{Anchor, settle_radii};
 use crate::centerline::cut_plane::wall_shape::FLAT;
+use crate::centerline::laplacian_smoothing::branch::observe;
 use crate::centerline::laplacian_smoothing::curve_fit::CurveFit;
-use crate::centerline::recentering::ends::continued_radius;
+use crate::centerline::recentering::ends::{end_point, follow_rings};
 use crate::centerline::recentering::swept_tube::SweptTube;
 use crate::centerline::recentering::swept_wall::{
     Heard, doubt_unusual, hear, outside, outside_circle, wall_beside,
 };
 use crate::centerline::segmentation::track::{Sight, Station, Track, update_tangents};
+use crate::centerline::triangle_grid::TriangleGrid;
 use crate::centerline::{Control, ExtractError};
 
 /// Rounds of fitting shape and centre. The first choose how stiff they are; the others keep to that and hear unusual
@@ -43,10 +45,11 @@ const TIGHT: f64 = 0.6;
 /// # Errors
 /// [`ExtractError::Cancelled`].
 pub fn recenter_branches(
-    surface: &Surface,
+    grid: &TriangleGrid<'_>,
     network: &mut Network,
     control: &Control<'_>,
 ) -> Result<(), ExtractError> {
+    let surface = grid.surface();
     let tip = |node: usize| network.anchor(node).filter(|_| network.is_end(node)).map(|anchor| anchor.point);
     let tips: Vec<[Option<Point3<f64>>; 2]> =
         network.tracks.iter().map(|track| [tip(track.from), tip(track.to)]).collect();
@@ -57,6 +60,7 @@ pub fn recenter_branches(
         if moved {
             update_tangents(&mut track.stations);
             settle_radii(&mut track.stations);
+            track.process = observe(&track.stations);
         }
         Ok(moved)
     };
@@ -64,14 +68,16 @@ pub fn recenter_branches(
     let moved = work.map(one).collect::<Result<Vec<bool>, ExtractError>>()?;
     for node in 0..network.nodes.len() {
         let [(track, at_end)] = network.incident(node)[..] else { continue };
-        let Some(end) = network.anchor(node).filter(|_| moved[track]) else { continue };
-        let radius = network.oriented(track, at_end, |track| {
-            let last = track.stations.last().map(|last| (end.point - last.point).norm());
-            last.map(|distance| continued_radius(track, distance))
-        });
-        if let (Some(anchor), Some(radius)) = (&mut network.nodes[node].anchor, radius) {
-            anchor.radius = radius;
+        if !moved[track] {
+            continue;
         }
+        let vertex = network.nodes[node].vertex;
+        let end = network.oriented(track, at_end, |track| {
+            follow_rings(grid, track, vertex);
+            settle_radii(&mut track.stations);
+            end_point(grid, track, vertex)
+        });
+        network.nodes[node].anchor = Some(Anchor { point: end.point, radius: end.radius });
     }
     Ok(())
 }
@@ -265,9 +271,22 @@ fn fit_shape(tube: &SweptTube, heard: &[Heard], search: Search, was_flat: bool) 
     let circle = circle()?;
     let Some(ellipse) = ellipse() else { return Some(circle) };
     let count: f64 = heard.iter().map(|h| h.weight).sum();
-    let gain = count * (circle.left / ellipse.left.max(f64::MIN_POSITIVE)).ln();
+    let gain = |other: &Fitted| count * (circle.left / other.left.max(f64::MIN_POSITIVE)).ln();
     let price = (ellipse.freedom - circle.freedom) * count.ln();
-    Some(if gain > price { ellipse } else { circle })
+    if gain(&ellipse) <= price {
+        return Some(circle);
+    }
+    // A circle with a fourth harmonic is no vessel's shape: what it explains with as many unknowns, noise that
+    // vertices share explains.
+    let square = {
+        let values = tube.shapes.iter().map(|s| Point3::new(s.x, 0.0, 0.0)).collect();
+        let (row, hold) = (|h: &Heard| h.fourth(), |_| Matrix3::zeros());
+        let outside = outside_circle;
+        Problem { tube, heard, values, outside, row, hold, seen: 3.0, order: 2 }
+            .solve(Search::Keep(ellipse.rung))
+    };
+    let noise = square.map_or(0.0, |square| gain(&square).max(0.0));
+    Some(if gain(&ellipse) > price + noise { ellipse } else { circle })
 }
 
 /// The line along the middle of the tube; along itself nothing moves it.

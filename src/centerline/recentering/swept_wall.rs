@@ -43,6 +43,14 @@ pub struct Heard {
     pub weight: f64,
 }
 
+impl Heard {
+    /// The terms 1, cos 4, sin 4 in its direction.
+    pub fn fourth(&self) -> Vector3<f64> {
+        let (cos, sin) = (self.terms.y, self.terms.z);
+        Vector3::new(1.0, cos * cos - sin * sin, 2.0 * sin * cos)
+    }
+}
+
 /// The vertices beside the tube that hang together with its stations' sections. O(vertices).
 pub fn wall_beside(surface: &Surface, stations: &[Station], tube: &SweptTube) -> Vec<WallVertex> {
     let mut found: Vec<(u32, usize)> = Vec::new();
