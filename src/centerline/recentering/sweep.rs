@@ -340,7 +340,7 @@ impl<Row: Fn(&Heard) -> Vector3<f64>, Hold: Fn(usize) -> Matrix3<f64>> Problem<'
         match search {
             Search::Keep(rung) => Some(tried(rung)),
             Search::Whole => (0..LADDER.len()).map(tried).min_by(|a, b| a.score().total_cmp(&b.score())),
-            Search::From(rung) => Some(better(tried(rung), &tried)),
+            Search::From(rung) => Some(better(tried(rung), tried)),
         }
     }
 

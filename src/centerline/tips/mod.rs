@@ -321,7 +321,7 @@ mod tests {
         let cancel = CancelToken::new();
         let edges = EdgeGraph::new(&surface.mesh.vertices, &surface.corners);
         let root = farthest(&geodesic(&edges, &[0], &cancel).unwrap().distance);
-        let graph = reeb_graph(&surface, &edges, &[root], &cancel).unwrap();
+        let graph = reeb_graph(surface, &edges, &[root], &cancel).unwrap();
         let loops = graph.arcs.len() as i64 - graph.nodes.len() as i64 + 1;
         assert_eq!(loops, surface.genus() as i64);
         (chains(surface, &graph, &Choice::by_height(1.0), &cancel).unwrap().chains, loops)
