@@ -115,7 +115,8 @@ impl WallShape {
         }
     }
 
-    /// Weighted mean of neighbouring shapes (their frames do not spin).
+    /// Weighted mean of neighbouring shapes (their frames do not spin). Neighbours see the same triangles, or one smooth
+    /// curve: their noise does not average out.
     pub fn average<'a>(shapes: impl Iterator<Item = (f64, &'a Self)>) -> Self {
         let mut sum = Self::default();
         let mut total = 0.0;
@@ -125,7 +126,7 @@ impl WallShape {
             sum.ellipse[1] += weight * shape.ellipse[1];
             sum.slope += weight * shape.slope;
             sum.nearest += weight * shape.nearest;
-            sum.haze += weight * weight * shape.haze;
+            sum.haze += weight * shape.haze;
             sum.grain += weight * shape.grain;
             total += weight;
         }
@@ -133,7 +134,7 @@ impl WallShape {
         Self {
             mean: sum.mean * scale,
             ellipse: sum.ellipse.map(|term| term * scale),
-            haze: sum.haze * scale * scale,
+            haze: sum.haze * scale,
             offset: [0.0; 2],
             slope: sum.slope * scale,
             nearest: sum.nearest * scale,

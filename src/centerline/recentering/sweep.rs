@@ -180,6 +180,8 @@ fn place(station: &mut Station, tube: &SweptTube, i: usize, trust: f64, haze: f6
     station.target = station.point;
     station.shape.mean = tube.shapes[i].x;
     station.shape.ellipse = tube.ellipse(i, &station.frame);
+    let [x, y] = station.shape.ellipse;
+    station.shape.nearest = station.shape.mean - x.hypot(y);
     station.shape.haze = haze;
     station.shape.slope = tube.slope(i);
 }
