@@ -31,7 +31,7 @@ const ONLY_IN: [(&str, &[&str]); 27] = [
     ("utoipa_axum", &["http"]),
     ("utoipa", &["http", "output"]),
     ("sqlx", &["jobs"]),
-    ("nix", &["jobs"]),
+    ("rustix", &["jobs"]),
     ("object_store", &["jobs"]),
     ("tokio", &["jobs", "outbound", "http", "cli"]),
     ("futures", &["jobs", "outbound", "http", "cli"]),

@@ -17,18 +17,30 @@ pub fn run(jobs: u32, clients: u32) {
     let mesh = super::tube_stl(80, 25);
     let looped = in_a_loop(jobs, &mesh);
     let service = Service::start();
-    thread::sleep(Duration::from_secs(1));
-    println!("idle: {:.1} MiB resident", service.kibibytes("VmRSS") as f64 / 1024.0);
+    println!("idle: {:.1} MiB resident", mebibytes(service.settled()));
     for _ in 0..3 {
         let begin = Instant::now();
         to_their_end(&service, jobs, clients, &mesh);
         let rate = f64::from(jobs) / begin.elapsed().as_secs_f64();
         println!(
-            "{jobs} jobs from {clients} clients: {rate:.1}/s, {:.2} of the loop's {looped:.1}/s; {:.1} MiB resident",
+            "{jobs} jobs from {clients} clients: {rate:.1}/s, {:.2} of the loop's {looped:.1}/s; {:.1} MiB resident, \
+             {:.1} MiB of its runs' processes",
             rate / looped,
-            service.kibibytes("VmRSS") as f64 / 1024.0,
+            mebibytes(service.kibibytes("VmRSS")),
+            mebibytes(service.of_runs()),
         );
     }
+    // Longer than threads and processes wait for more to do.
+    thread::sleep(Duration::from_secs(20));
+    println!(
+        "at rest: {:.1} MiB resident, {:.1} MiB of its runs' processes",
+        mebibytes(service.settled()),
+        mebibytes(service.of_runs()),
+    );
+}
+
+fn mebibytes(kibibytes: u64) -> f64 {
+    kibibytes as f64 / 1024.0
 }
 
 /// Extractions a second: read, extract and write every result format, nothing on disk.

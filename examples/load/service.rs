@@ -2,9 +2,12 @@
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::wire::Client;
+
+/// Longer than any job here takes.
+const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A running service with a data folder of its own.
 pub struct Service {
@@ -30,28 +33,59 @@ impl Service {
 
     /// Waits until a job has ended, well or not.
     pub fn wait_for(&self, client: &mut Client, job: &str) {
+        let begin = Instant::now();
+        // Answered when the status changes.
+        client.headers = "Prefer: wait=10\r\n";
         loop {
+            assert!(begin.elapsed() < PATIENCE, "{job} does not end");
             let status = client.ask(&format!("GET {job}"), b"").unwrap();
             assert_eq!(status.status, 200);
             let text = String::from_utf8(status.body).unwrap();
             if !text.contains("\"status\":\"accepted\"") && !text.contains("\"status\":\"running\"") {
+                client.headers = "";
                 return;
             }
-            std::thread::sleep(Duration::from_millis(5));
         }
     }
 
     /// A line of /proc/PID/status in KiB.
     pub fn kibibytes(&self, name: &str) -> u64 {
-        let text = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
-        let line = text.lines().find(|line| line.starts_with(name)).unwrap();
-        line.split_whitespace().nth(1).unwrap().parse().unwrap()
+        number(self.child.id(), name).unwrap()
+    }
+
+    /// Resident memory once it stands still, in KiB.
+    pub fn settled(&self) -> u64 {
+        let begin = Instant::now();
+        let mut before = 0;
+        loop {
+            let now = self.kibibytes("VmRSS");
+            if now.abs_diff(before) < 64 || begin.elapsed() > PATIENCE {
+                return now;
+            }
+            before = now;
+            std::thread::sleep(Duration::from_millis(500));
+        }
+    }
+
+    /// Memory that the processes of its runs have for themselves, in KiB.
+    pub fn of_runs(&self) -> u64 {
+        let processes = std::fs::read_dir("/proc").unwrap().filter_map(|entry| {
+            let process = entry.ok()?.file_name().to_str()?.parse().ok()?;
+            (number(process, "PPid")? == u64::from(self.child.id())).then_some(process)
+        });
+        processes.filter_map(|process| number(process, "RssAnon")).sum()
     }
 
     /// [`Service::kibibytes`] in MiB.
     pub fn memory(&self, name: &str) -> u64 {
         self.kibibytes(name) / 1024
     }
+}
+
+/// A number in /proc/PID/status; `None` where it is gone.
+fn number(process: u32, name: &str) -> Option<u64> {
+    let text = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    text.lines().find(|line| line.starts_with(name))?.split_whitespace().nth(1)?.parse().ok()
 }
 
 impl Drop for Service {

@@ -31,10 +31,12 @@ pub fn run(clients: u32, rings: u32) {
                     thread::sleep(Duration::from_millis(20));
                 }
             });
-            for post in posts {
-                assert_eq!(post.join().unwrap(), expected);
-            }
+            let statuses: Vec<_> = posts.into_iter().map(|post| post.join()).collect();
+            // Before one that failed ends this scope, which waits for the sampling thread.
             done.store(true, Ordering::Relaxed);
+            for status in statuses {
+                assert_eq!(status.unwrap(), expected);
+            }
         });
         println!(
             "{what}: {clients} clients, {} MB each, answered within {:.1} s; resident: {before} MiB before, {} MiB peak \

@@ -8,6 +8,7 @@ use std::io::Write;
 use std::net::SocketAddr;
 use std::num::NonZeroU64;
 use std::sync::Arc;
+use std::time::Duration;
 
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
@@ -26,6 +27,11 @@ use args::LogFormat;
 pub use args::{Args, Span};
 use otlp::Exporter;
 
+/// Threads that write, sync and read files, at most: enough that syncs go to the disk together. Each keeps about a MiB.
+const DISK_THREADS: usize = 16;
+/// How long one of them waits for more to do before it ends and gives its memory back.
+const DISK_REST: Duration = Duration::from_secs(2);
+
 /// Serves until SIGTERM or SIGINT.
 ///
 /// # Errors
@@ -33,7 +39,11 @@ use otlp::Exporter;
 pub fn run(args: Args) -> Result<(), Failure> {
     start_log(args.log_format)?;
     log_panics_without_text();
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .max_blocking_threads(DISK_THREADS)
+        .thread_keep_alive(DISK_REST)
+        .build()?;
     // Outside the runtime, which it would block when it is dropped.
     let exporter = Exporter::start(args.otlp.as_deref())?;
     runtime.block_on(serve(args, exporter.spans()))

@@ -17,7 +17,7 @@ use futures::FutureExt;
 use tokio_util::sync::CancellationToken;
 
 use super::App;
-use super::audit::Occurrence;
+use super::audit::{Occurrence, is_told};
 use super::problem::{FORBIDDEN, INTERNAL_ERROR, Problem, UNAUTHENTICATED};
 use super::trace::job_in_path;
 use crate::jobs::JobId;
@@ -127,6 +127,10 @@ async fn answered(app: App, mut request: Request, next: Next) -> Response {
         Err(_) => (StatusCode::INTERNAL_SERVER_ERROR, None),
     };
     let job = job_in_path(&path).or(named);
+    // Polls, most of all requests, need no thread.
+    if !is_told(&method, &path, status) {
+        return outcome.unwrap_or_else(|panic| resume_unwind(panic));
+    }
     // Written off the async threads, and before the answer begins.
     let told = tokio::task::spawn_blocking(move || {
         let user = caller.as_ref().and_then(Caller::owner);

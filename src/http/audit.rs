@@ -120,6 +120,11 @@ impl Occurrence<'_> {
     }
 }
 
+/// Whether the trail is told of such an answer.
+pub(super) fn is_told(method: &Method, path: &str, status: StatusCode) -> bool {
+    Act::of(method, path, status).is_some()
+}
+
 /// The file that is added to. One that has grown is set aside under the time of its last line and never touched again.
 pub struct Trail {
     path: PathBuf,

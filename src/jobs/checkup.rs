@@ -187,11 +187,12 @@ async fn examine(file: &Path, now_ms: i64) -> Result<Vec<Finding>, sqlx::Error> 
 /// Bytes that are free for this user on the disk of `path`, or of the folder that it would be made in.
 pub fn free(path: &Path) -> io::Result<u64> {
     let place = path.ancestors().find(|each| each.exists()).unwrap_or(Path::new("."));
-    let found = nix::sys::statvfs::statvfs(place)?;
-    Ok(found.blocks_available() as u64 * found.fragment_size() as u64)
+    let found = rustix::fs::statvfs(place)?;
+    Ok(found.f_bavail * found.f_frsize)
 }
 
 /// How many files a process may have open.
 pub fn descriptors() -> io::Result<u64> {
-    Ok(nix::sys::resource::getrlimit(nix::sys::resource::Resource::RLIMIT_NOFILE)?.0)
+    let limit = rustix::process::getrlimit(rustix::process::Resource::Nofile);
+    Ok(limit.current.unwrap_or(u64::MAX))
 }

@@ -40,6 +40,7 @@ mod retention;
 pub mod runner;
 mod service;
 mod settings;
+mod slots;
 mod spans;
 mod storage;
 pub mod store;

@@ -292,12 +292,16 @@ pub struct Load {
     /// How long the oldest waiting job has waited.
     pub queue_age: Duration,
     pub workers: usize,
-    /// Workers that have a job.
+    /// Workers whose run goes on; more of them may store results.
     pub busy: usize,
     /// Workers that wait for a cancelled run which does not stop.
     pub held: usize,
     /// Threads that compute, over all workers.
     pub threads: usize,
+    /// Those of them that a run has.
+    pub busy_threads: usize,
+    /// Processes that wait for a next run.
+    pub resting: usize,
     /// Of the runs since the start.
     pub stages: Vec<StageTimes>,
 }

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use bytes::Bytes;
 use futures::StreamExt;
+use futures::future::join_all;
 
 use super::backoff::Backoff;
 use super::blob::BlobReader;
@@ -76,16 +77,21 @@ impl Worker {
         entry: &Entry,
         artifacts: &[Packed],
     ) -> Result<bool, JobError> {
-        let mut stored = Vec::with_capacity(artifacts.len());
-        for Packed { format, coding, bytes } in artifacts {
-            let (format, coding) = (*format, *coding);
+        if entry.cancel.is_cancelled() && self.phase() != Phase::Stopping {
+            return Ok(false);
+        }
+        let put = async |packed: &Packed| {
+            let (format, coding) = (packed.format, packed.coding);
             let key = result_key(job, lease, format, coding);
-            if entry.cancel.is_cancelled() && self.phase() != Phase::Stopping {
-                return Ok(false);
-            }
-            let body = futures::stream::iter([Ok(bytes.clone())]).boxed();
+            let body = futures::stream::iter([Ok(packed.bytes.clone())]).boxed();
             let info = self.shared.blobs.put(&key, body, u64::MAX).await?;
-            stored.push(StoredArtifact { format, key, size: info.size, sha256: info.sha256, coding });
+            Ok::<_, JobError>(StoredArtifact { format, key, size: info.size, sha256: info.sha256, coding })
+        };
+        // All at once: the disk then syncs them together. And all to their end, also when one fails: a file
+        // that is still being written could not be dropped.
+        let stored = join_all(artifacts.iter().map(put)).await.into_iter().collect::<Result<Vec<_>, _>>()?;
+        if entry.cancel.is_cancelled() && self.phase() != Phase::Stopping {
+            return Ok(false);
         }
         Ok(self.shared.store.succeed(job.id, lease, &stored, self.shared.clock.now_ms()).await?)
     }

@@ -58,4 +58,13 @@ pub trait JobRunner: Send + Sync + 'static {
     /// # Errors
     /// The [`JobFailure`] that the job ends with.
     fn run(&self, work: Work, control: &RunControl) -> Result<Vec<Artifact>, JobFailure>;
+
+    /// Called now and then while a worker has nothing to do, on a thread of its pool: what is kept for a next run
+    /// alone may go.
+    fn rest(&self) {}
+
+    /// Processes that are kept for a next run.
+    fn resting(&self) -> usize {
+        0
+    }
 }

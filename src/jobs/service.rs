@@ -14,6 +14,7 @@ use super::housekeeping;
 use super::live::Board;
 use super::recovery::recover;
 use super::runner::JobRunner;
+use super::slots::Slots;
 use super::store::{ListQuery, Page};
 use super::worker::{Phase, Shared, Worker};
 use super::{
@@ -96,6 +97,7 @@ impl JobService {
         recover(store.as_ref(), blobs.as_ref(), settings.max_crashes.get(), clock.now_ms()).await?;
         storage.deliveries.release_deliveries(clock.now_ms()).await?;
         let ids = IdSource::new(clock.clone(), store.newest().await?);
+        let slots = Slots::new(&settings)?;
         let shared = Arc::new(Shared {
             store: storage.store,
             deliveries: storage.deliveries,
@@ -103,6 +105,7 @@ impl JobService {
             runner,
             clock,
             board: Arc::new(Board::default()),
+            slots,
             settings,
             folder: storage.folder,
             wake: Notify::new(),
@@ -112,9 +115,10 @@ impl JobService {
             doubt: Mutex::new(None),
         });
         housekeeping::trusted_now(&shared, &mut steadiness);
-        let workers: Result<Vec<Worker>, _> =
-            (0..shared.settings.workers.get()).map(|number| Worker::new(shared.clone(), number)).collect();
-        let mut workers: Vec<_> = workers?.into_iter().map(|worker| tokio::spawn(worker.work())).collect();
+        // As many again as there are places: they store results while others compute.
+        let number = 2 * shared.settings.workers.get();
+        let mut workers: Vec<_> =
+            (0..number).map(|_| tokio::spawn(Worker::new(shared.clone()).work())).collect();
         housekeeping::keep_reserve(&shared).await;
         workers.push(tokio::spawn(housekeeping::keep(shared.clone(), steadiness)));
         Ok(Arc::new(Self { shared, ids, workers: Mutex::new(workers) }))
@@ -287,6 +291,8 @@ impl JobService {
             busy: shared.meter.busy(),
             held: shared.held.load(Ordering::Relaxed),
             threads: shared.settings.workers.get() * shared.settings.threads_per_worker.get(),
+            busy_threads: shared.meter.busy() * shared.settings.threads_per_worker.get(),
+            resting: shared.runner.resting(),
             stages: shared.meter.stages(),
         })
     }

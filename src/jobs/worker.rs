@@ -1,6 +1,6 @@
-//! The workers: each claims a job from the store, runs it on a rayon pool of its own, and settles it.
+//! The workers: each claims a job from the store, runs it on the rayon pool of its place, and settles it.
 //!
-//! A pool a worker, not one for all: a rayon thread that waits inside one job would otherwise pick up
+//! A pool a place, not one for all: a rayon thread that waits inside one job would otherwise pick up
 //! another whole job, and the first could neither end nor obey its cancellation until the second is done.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -10,7 +10,6 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use futures::FutureExt;
-use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use tokio::sync::{Notify, oneshot, watch};
 use tracing::Instrument;
 
@@ -20,6 +19,7 @@ use super::faults::{Operation, Side, pass};
 use super::live::{Board, Entry};
 use super::meter::Meter;
 use super::runner::{Artifact, JobRunner, RunControl, Work};
+use super::slots::{Slot, Slots};
 use super::store::{DeliveryStore, JobStore, StoreError};
 use super::timeline::Timeline;
 use super::watch::{flush, out_of_time, overdue};
@@ -27,8 +27,6 @@ use super::{Clock, DataFolder, Doubt, Job, JobFailure, JobStage, JobStatus, Leas
 
 /// Tries to read an input before its job fails.
 const READS: u32 = 5;
-/// The stack of a pool's thread, bytes.
-pub(super) const STACK: usize = 8 << 20;
 
 /// Whether workers claim and run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -48,6 +46,7 @@ pub(super) struct Shared {
     pub(super) runner: Arc<dyn JobRunner>,
     pub(super) clock: Arc<dyn Clock>,
     pub(super) board: Arc<Board>,
+    pub(super) slots: Arc<Slots>,
     pub(super) settings: Settings,
     /// Locked as long as a worker lives.
     pub(super) folder: Option<DataFolder>,
@@ -72,17 +71,14 @@ pub(super) enum Outcome {
 
 pub(super) struct Worker {
     pub(super) shared: Arc<Shared>,
-    pool: ThreadPool,
     phase: watch::Receiver<Phase>,
     /// What was claimed and is not settled.
     at_work: Option<Job>,
 }
 
 impl Worker {
-    pub(super) fn new(shared: Arc<Shared>, number: usize) -> Result<Self, ThreadPoolBuildError> {
-        let pool = pool(&shared.settings, number)?;
-        let phase = shared.phase.subscribe();
-        Ok(Self { shared, pool, phase, at_work: None })
+    pub(super) fn new(shared: Arc<Shared>) -> Self {
+        Self { phase: shared.phase.subscribe(), shared, at_work: None }
     }
 
     pub(super) fn phase(&self) -> Phase {
@@ -116,6 +112,13 @@ impl Worker {
 
     /// Claims a job and works it off, or waits for one.
     async fn turn(&mut self, lease: &Lease, backoff: &mut Backoff) {
+        let slots = self.shared.slots.clone();
+        let Some(slot) = (tokio::select! {
+            slot = slots.take() => slot,
+            _ = self.phase.changed() => None,
+        }) else {
+            return;
+        };
         match self.shared.store.claim(lease, self.shared.clock.now_ms()).await {
             Ok(Some(job)) => {
                 *backoff = Backoff::new();
@@ -123,15 +126,19 @@ impl Worker {
                 // There may be more: wake an idle worker to look.
                 self.shared.wake.notify_one();
                 let span = tracing::info_span!("job", id = %job.id);
-                self.run(job, lease).instrument(span).await;
+                self.run(job, lease, slot).instrument(span).await;
                 self.at_work = None;
+                // And again: one that is to run alone waited for this one's end, and all slots may be idle.
+                self.shared.wake.notify_one();
             }
             Ok(None) => {
                 let poll = self.shared.settings.poll;
                 let shared = self.shared.clone();
                 tokio::select! {
                     () = shared.wake.notified() => {}
-                    () = self.pause(poll) => {}
+                    () = self.pause(poll) => {
+                        slot.rest(shared.runner.clone());
+                    }
                 }
             }
             Err(error) => {
@@ -182,19 +189,22 @@ impl Worker {
         }
     }
 
-    async fn run(&mut self, job: Job, lease: &Lease) {
+    async fn run(&mut self, job: Job, lease: &Lease, slot: Slot) {
         let began = Instant::now();
         tracing::info!(attempt = job.attempts, bytes = job.input.size, "started");
         let entry = self.shared.board.start(job.id);
-        let mut left = None;
         let meter = self.shared.meter.clone();
-        let _busy = meter.begin();
+        let (mut left, mut kept) = (None, None);
+        let place = (slot, meter.begin());
         if self.holds(&job, lease).await {
             entry.runs(&job, Timeline::start(&job, meter.clone(), &self.shared.settings.spans));
             match self.read_input(&job, &entry).await {
                 Some(Ok(bytes)) => {
-                    let outcome = self.compute(&job, lease, &entry, bytes).await;
+                    let outcome = self.compute(&job, lease, &entry, bytes, &place.0).await;
                     let seconds = began.elapsed().as_secs_f64();
+                    // Another worker may compute while this one stores, but not while the run has its threads still.
+                    let goes_on = matches!(outcome, Outcome::Stuck(_) | Outcome::OutOfTime(Some(_)));
+                    kept = goes_on.then_some(place);
                     left = self.settle(&job, lease, &entry, outcome, seconds).await;
                 }
                 Some(Err(failure)) => self.fail(&job, lease, &entry, failure).await,
@@ -206,6 +216,7 @@ impl Worker {
         if let Some(run) = left {
             self.outlast(run).await;
         }
+        drop(kept);
     }
 
     /// Waits for a run that was given up: it holds its threads and its memory, so another run beside it would
@@ -261,12 +272,19 @@ impl Worker {
     }
 
     /// Runs the job on the pool and writes its progress to the store meanwhile.
-    async fn compute(&mut self, job: &Job, lease: &Lease, entry: &Arc<Entry>, bytes: Bytes) -> Outcome {
+    async fn compute(
+        &mut self,
+        job: &Job,
+        lease: &Lease,
+        entry: &Arc<Entry>,
+        bytes: Bytes,
+        slot: &Slot,
+    ) -> Outcome {
         let (answer, mut answered) = oneshot::channel();
         let (runner, control) = (self.shared.runner.clone(), RunControl::new(entry.clone()));
         let work = Work { input: job.input.clone(), bytes, spec: job.spec.clone() };
         let span = tracing::Span::current();
-        self.pool.spawn(move || {
+        slot.spawn(move || {
             let run = || span.in_scope(|| between_points(|| runner.run(work, &control)));
             let outcome = match catch_unwind(AssertUnwindSafe(run)) {
                 Ok(result) => Outcome::Answered(result),
@@ -375,12 +393,4 @@ fn between_points(
     let artifacts = run()?;
     pass(Operation::Run, Side::After).map_err(|error| JobFailure::not_started(&error))?;
     Ok(artifacts)
-}
-
-fn pool(settings: &Settings, number: usize) -> Result<ThreadPool, ThreadPoolBuildError> {
-    ThreadPoolBuilder::new()
-        .num_threads(settings.threads_per_worker.get())
-        .thread_name(move |thread| format!("worker-{number}-{thread}"))
-        .stack_size(STACK)
-        .build()
 }

@@ -16,11 +16,13 @@ pub struct Answer {
 pub struct Client {
     address: String,
     stream: Option<BufReader<TcpStream>>,
+    /// Further lines of every request's head, each with its end.
+    pub headers: &'static str,
 }
 
 impl Client {
     pub fn new(address: &str) -> Self {
-        Self { address: address.to_owned(), stream: None }
+        Self { address: address.to_owned(), stream: None, headers: "" }
     }
 
     fn stream(&mut self) -> io::Result<&mut BufReader<TcpStream>> {
@@ -55,8 +57,10 @@ impl Client {
     }
 
     fn try_ask(&mut self, request: &str, body: &[u8], piece: usize, pause: Duration) -> io::Result<Answer> {
+        let headers = self.headers;
         let reader = self.stream()?;
-        let head = format!("{request} HTTP/1.1\r\nHost: x\r\nContent-Length: {}\r\n\r\n", body.len());
+        let length = body.len();
+        let head = format!("{request} HTTP/1.1\r\nHost: x\r\n{headers}Content-Length: {length}\r\n\r\n");
         reader.get_mut().write_all(head.as_bytes())?;
         for piece in body.chunks(piece) {
             reader.get_mut().write_all(piece)?;

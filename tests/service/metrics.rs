@@ -136,5 +136,7 @@ async fn metrics_tell_of_busy_workers_and_a_queue() {
     service.running().await;
     let metrics = Metrics::of(&service).await;
     assert_eq!(metrics.at("rosaline_workers_busy"), 1.0);
+    assert_eq!(metrics.at("rosaline_threads_busy"), 1.0);
+    assert_eq!(metrics.at("rosaline_run_processes_resting"), 0.0);
     assert!(metrics.at("rosaline_jobs{state=\"accepted\"}") >= 1.0);
 }

@@ -31,7 +31,9 @@ async fn send(url: Arc<RwLock<String>>, jobs: Vec<usize>) -> Vec<String> {
     let (client, mesh) = (Client::new(), bytes::Bytes::from(meshes::stl(&meshes::tube(20, 12))));
     let mut paths = Vec::new();
     for job in jobs {
+        let begin = Instant::now();
         loop {
+            assert!(begin.elapsed() < STANDSTILL, "job {job} is not accepted");
             let base = url.read().unwrap().clone();
             let request =
                 client.post(format!("{base}/v1/jobs")).header("idempotency-key", format!("job-{job}"));
@@ -48,6 +50,25 @@ async fn send(url: Arc<RwLock<String>>, jobs: Vec<usize>) -> Vec<String> {
         }
     }
     paths
+}
+
+/// How long nothing may come forward.
+const STANDSTILL: Duration = Duration::from_secs(120);
+
+/// Waits until so many jobs have ended.
+async fn until_ended(service: &Service, jobs: usize) {
+    let (mut most, mut since) = (0, Instant::now());
+    loop {
+        let now = ended(service).await;
+        if now >= jobs {
+            return;
+        }
+        if now > most {
+            (most, since) = (now, Instant::now());
+        }
+        assert!(since.elapsed() < STANDSTILL, "{now} of {jobs} jobs ended, no more: {}", service.log());
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
 }
 
 /// Jobs that have ended, by `/metrics`.
@@ -72,9 +93,7 @@ async fn soak(jobs: usize, kills: u64) {
     let mut moments: Vec<usize> = (0..kills).map(|_| random.below(jobs as u64 * 9 / 10) as usize).collect();
     moments.sort_unstable();
     for moment in moments {
-        while ended(&service).await < moment {
-            tokio::time::sleep(Duration::from_millis(20)).await;
-        }
+        until_ended(&service, moment).await;
         tokio::time::sleep(Duration::from_millis(random.below(200))).await;
         service.kill();
         service = service.restart(&FLAGS);
@@ -83,9 +102,7 @@ async fn soak(jobs: usize, kills: u64) {
     let paths = futures::future::join_all(senders).await.into_iter().flat_map(Result::unwrap);
     let paths: BTreeSet<String> = paths.collect();
     assert_eq!(paths.len(), jobs, "a job for each key");
-    while ended(&service).await < jobs {
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    until_ended(&service, jobs).await;
     println!("{jobs} jobs, {kills} kills: {:.0} s", began.elapsed().as_secs_f64());
     inspect(&service, &paths).await;
 }

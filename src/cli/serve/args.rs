@@ -30,7 +30,8 @@ pub struct Args {
     /// Threads that compute, over all workers [default: one a core, at least one a worker].
     #[arg(long, env = "ROSALINE_THREADS", value_name = "N")]
     pub threads: Option<NonZeroUsize>,
-    /// How often the service may die while one job runs alone before that job is failed instead of run again.
+    /// How often the process of a job's run may die, or the service while that job runs alone, before the job is failed
+    /// instead of run again.
     #[arg(long, env = "ROSALINE_MAX_CRASHES", default_value_t = MAX_CRASHES, value_name = "N")]
     pub max_crashes: NonZeroU32,
     /// Largest mesh, in bytes or with KiB, MiB or GiB.

@@ -49,9 +49,11 @@ fn write_load(text: &mut Exposition, load: &Load) {
     for (name, help, value) in [
         ("queue_age_seconds", "How long the oldest waiting job has waited.", load.queue_age.as_secs_f64()),
         ("workers", "Jobs that may run at once.", load.workers as f64),
-        ("workers_busy", "Workers that have a job.", load.busy as f64),
+        ("workers_busy", "Workers whose run goes on.", load.busy as f64),
         ("workers_held", "Workers that wait for a run which does not stop.", load.held as f64),
         ("threads", "Threads that compute, over all workers.", load.threads as f64),
+        ("threads_busy", "Those of them that a run has.", load.busy_threads as f64),
+        ("run_processes_resting", "Processes that wait for a next run.", load.resting as f64),
     ] {
         text.gauge(name, help);
         text.sample(&[], value);

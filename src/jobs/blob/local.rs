@@ -11,6 +11,7 @@ use object_store::local::LocalFileSystem;
 use object_store::path::Path as Key;
 use object_store::{GetOptions, MultipartUpload, ObjectStore, ObjectStoreExt, PutPayload};
 use sha2::{Digest, Sha256};
+use tokio::task::JoinHandle;
 
 use crate::jobs::faults::{self, Operation, Side};
 
@@ -18,6 +19,8 @@ use super::{BlobBody, BlobError, BlobFuture, BlobInfo, BlobReader, BlobStore};
 
 /// Bytes gathered before they are hashed and written.
 const PART: usize = 1 << 20;
+/// Bytes that are hashed sooner than another thread would begin to.
+const SMALL: usize = 64 << 10;
 
 /// A folder of blobs.
 ///
@@ -115,11 +118,7 @@ impl Writer<'_> {
         if part.is_empty() {
             return Ok(());
         }
-        let (mut hash, bytes) = (std::mem::take(&mut self.hash), part.clone());
-        let hashing = tokio::task::spawn_blocking(move || {
-            hash.update(&bytes);
-            hash
-        });
+        let hashing = self.hashing(part.clone());
         let [_, write, _] = points(self.key);
         point(write, Side::Before)?;
         self.upload
@@ -127,8 +126,23 @@ impl Writer<'_> {
             .await
             .map_err(|error| classified(self.key, error))?;
         point(write, Side::After)?;
-        self.hash = hashing.await.map_err(|error| BlobError::Folder(io::Error::other(error)))?;
+        if let Some(hashing) = hashing {
+            self.hash = hashing.await.map_err(|error| BlobError::Folder(io::Error::other(error)))?;
+        }
         Ok(())
+    }
+
+    /// Hashes a part; a small one at once, a large one beside its write.
+    fn hashing(&mut self, part: Bytes) -> Option<JoinHandle<Sha256>> {
+        if part.len() <= SMALL {
+            self.hash.update(&part);
+            return None;
+        }
+        let mut hash = std::mem::take(&mut self.hash);
+        Some(tokio::task::spawn_blocking(move || {
+            hash.update(&part);
+            hash
+        }))
     }
 
     async fn write(&mut self, mut body: BlobBody<'_>, limit: u64) -> Result<(), BlobError> {

@@ -1,12 +1,14 @@
-//! The process of one run.
+//! The process of runs.
 
-use std::io::{self, BufRead, Read, Write};
+use std::io::{self, BufRead, ErrorKind, Read, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use nix::sys::resource::{Resource, getrlimit, setrlimit};
-use rayon::ThreadPoolBuilder;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::io::Errno;
+use rustix::process::{Resource, Rlimit, getrlimit, nice, setrlimit};
 use tokio::signal::unix::{SignalKind, signal};
 
 use super::words::{LONGEST_LINE, Order, Word, line};
@@ -15,13 +17,18 @@ use crate::jobs::extraction::Extraction;
 use crate::jobs::faults::{Operation, Side, pass};
 use crate::jobs::live::coarse;
 use crate::jobs::runner::Artifact;
-use crate::jobs::worker::STACK;
+use crate::jobs::slots::STACK;
 use crate::jobs::{JobFailure, JobStage};
 
 /// Where the last panic was.
 static PLACE: Mutex<String> = Mutex::new(String::new());
 
-/// Works off the one job that stdin tells of, and answers on stdout. For the process that
+/// How much the process steps back behind others: the service answers first, and its runs share what is left.
+const NICE: i32 = 10;
+/// The stack of the thread that does nothing but wait, bytes.
+const SMALL_STACK: usize = 64 << 10;
+
+/// Works off the jobs that stdin tells of, one after the other, and answers on stdout. For the process that
 /// [`super::Isolated`] starts, and no other: it changes what the whole process does at signals and panics.
 ///
 /// # Errors
@@ -29,21 +36,40 @@ static PLACE: Mutex<String> = Mutex::new(String::new());
 pub fn work_off() -> io::Result<()> {
     outlive_stop_signals()?;
     // A core dump would hold the mesh and its name, outside of the data folder.
-    setrlimit(Resource::RLIMIT_CORE, 0, 0)?;
+    setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) })?;
     // Where memory runs out, the system should end the run, not the service. Not every system has this.
     std::fs::write("/proc/self/oom_score_adj", "1000").ok();
+    // Threads have it from the one that starts them. One that may not be nicer works all the same.
+    nice(NICE).ok();
     std::panic::set_hook(Box::new(|info| {
         let place = info.location().map(ToString::to_string).unwrap_or_default();
         *PLACE.lock().unwrap_or_else(PoisonError::into_inner) = place;
     }));
-    let (order, mesh) = receive()?;
-    std::thread::Builder::new().spawn(go_with_the_parent)?;
-    let (limits, threads) = (order.limits(), order.threads);
+    std::thread::Builder::new().stack_size(SMALL_STACK).spawn(go_with_the_parent)?;
+    let mut pool = None;
+    while let Some((order, mesh)) = receive()? {
+        let fits = |pool: &ThreadPool| pool.current_num_threads() == order.threads;
+        let pool = match pool.take().filter(fits) {
+            Some(kept) => pool.insert(kept),
+            None => pool.insert(start_pool(order.threads)?),
+        };
+        run(order, mesh, pool)?;
+    }
+    Ok(())
+}
+
+fn start_pool(threads: usize) -> io::Result<ThreadPool> {
+    let pool = ThreadPoolBuilder::new().num_threads(threads).stack_size(STACK).build();
+    pool.map_err(io::Error::other)
+}
+
+/// One job, and its answer. Nothing of it is left when this returns.
+fn run(order: Order, mesh: Vec<u8>, pool: &ThreadPool) -> io::Result<()> {
+    let limits = order.limits();
     let work = order.work(mesh);
     let teller = Teller::default();
+    teller.say(&line(&Word::Begun))?;
     let report = |stage: JobStage, fraction: f64, part: Part| teller.report(stage, fraction, part);
-    let pool = ThreadPoolBuilder::new().num_threads(threads).stack_size(STACK).build();
-    let pool = pool.map_err(io::Error::other)?;
     let run = || {
         pass(Operation::Method, Side::Before).map_err(|error| JobFailure::not_started(&error))?;
         let run = || Extraction::new(limits).perform(work, &CancelToken::new(), &report);
@@ -72,28 +98,38 @@ fn outlive_stop_signals() -> io::Result<()> {
     Ok(())
 }
 
-/// The order and its mesh, read under the order's limit of memory.
-fn receive() -> io::Result<(Order, Vec<u8>)> {
+/// The next order and its mesh, read under the order's limit of memory; `None`: there is none any more.
+fn receive() -> io::Result<Option<(Order, Vec<u8>)>> {
     let mut stdin = io::stdin().lock();
     let mut head = Vec::new();
     stdin.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut head)?;
+    if head.is_empty() {
+        return Ok(None);
+    }
     let order: Order = serde_json::from_slice(&head)?;
     limit_memory(order.memory.get().saturating_add((order.threads * STACK) as u64))?;
     let mut mesh = Vec::with_capacity(usize::try_from(order.size).map_err(io::Error::other)?);
     stdin.take(order.size).read_to_end(&mut mesh)?;
-    if mesh.len() as u64 == order.size { Ok((order, mesh)) } else { Err(io::ErrorKind::UnexpectedEof.into()) }
+    if mesh.len() as u64 == order.size {
+        Ok(Some((order, mesh)))
+    } else {
+        Err(ErrorKind::UnexpectedEof.into())
+    }
 }
 
 /// Bounds what this process may allocate: past it, an allocation fails and the process aborts.
 fn limit_memory(bytes: u64) -> io::Result<()> {
-    let (_, most) = getrlimit(Resource::RLIMIT_DATA)?;
-    let bytes = bytes.min(most);
-    Ok(setrlimit(Resource::RLIMIT_DATA, bytes, bytes)?)
+    let most = getrlimit(Resource::Data).maximum;
+    let bytes = Some(most.map_or(bytes, |most| bytes.min(most)));
+    Ok(setrlimit(Resource::Data, Rlimit { current: bytes, maximum: bytes })?)
 }
 
 /// Ends this process when its parent has: nobody wants the result.
 fn go_with_the_parent() {
-    io::copy(&mut io::stdin().lock(), &mut io::sink()).ok();
+    let stdin = io::stdin();
+    // No event is asked for: what is told in any case is that the other end was closed.
+    let mut pipe = [PollFd::new(&stdin, PollFlags::empty())];
+    while let Err(Errno::INTR) = poll(&mut pipe, None) {}
     std::process::exit(1);
 }
 

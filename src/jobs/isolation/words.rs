@@ -83,6 +83,8 @@ impl Order {
 /// What the child says.
 #[derive(Serialize, Deserialize)]
 pub(super) enum Word {
+    /// The order and the mesh are here.
+    Begun,
     Report {
         stage: String,
         fraction: f64,
