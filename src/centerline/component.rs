@@ -12,7 +12,7 @@ pub struct ComponentGraph {
 }
 
 impl ComponentGraph {
-    /// Refuses a line that has a number which is none: around torn and scrambled walls a fit may run away, and what
+    /// Refuses a line that has a number which is none, or a negative radius: around torn and scrambled walls a fit may run away, and what
     /// comes of it must not look like a line.
     ///
     /// # Errors
@@ -21,7 +21,7 @@ impl ComponentGraph {
         let is_sound = |branch: &Branch| {
             let points = branch.points.iter().all(|point| point.iter().all(|number| number.is_finite()));
             let mut radii = branch.radii.iter().chain(&branch.equivalent_radii);
-            points && radii.all(|radius| radius.is_finite())
+            points && radii.all(|&radius| (0.0..f64::INFINITY).contains(&radius))
         };
         let Some(branch) = self.branches.iter().find(|branch| !is_sound(branch)) else { return Ok(()) };
         let end = self.nodes[branch.from].position;
@@ -52,7 +52,8 @@ mod tests {
         let nodes = vec![end; 2];
         let sound = ComponentGraph { nodes, branches: vec![branch], warnings: Vec::new() };
         assert_eq!(sound.check_numbers(), Ok(()));
-        let spoil: [fn(&mut Branch); 3] = [
+        let spoil: [fn(&mut Branch); 4] = [
+            |branch| branch.radii[1] = -1.0,
             |branch| branch.points[1].y = f64::NAN,
             |branch| branch.radii[0] = f64::INFINITY,
             |branch| branch.equivalent_radii[1] = f64::NAN,

@@ -99,7 +99,8 @@ pub async fn admit(State(app): State<App>, mut request: Request, next: Next) -> 
     let left = CancellationToken::new();
     request.extensions_mut().insert(Left(left.clone()));
     let _left = left.drop_guard();
-    match tokio::spawn(answered(app, request, next)).await {
+    let requests = app.requests().clone();
+    match requests.spawn(answered(app, request, next)).await {
         Ok(response) => response,
         Err(error) => match error.try_into_panic() {
             // On to where panics become answers.

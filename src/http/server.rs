@@ -29,7 +29,13 @@ pub async fn serve(
         gate.follow(closing.clone());
     }
     let connections = connections::serve(listener, tls, router, app.limits().head, closing.clone());
-    let mut server = tokio::spawn(connections);
+    let requests = app.requests().clone();
+    // Those whose clients have gone have no connection any more.
+    let mut server = tokio::spawn(async move {
+        connections.await;
+        requests.close();
+        requests.wait().await;
+    });
     tokio::select! {
         () = stop => {}
         ended = &mut server => return ended.map_err(io::Error::other),
@@ -38,7 +44,7 @@ pub async fn serve(
     app.jobs().drain();
     closing.cancel();
     if tokio::time::timeout(grace.min(CONNECTIONS_END), &mut server).await.is_err() {
-        tracing::warn!("connections that did not end are cut");
+        tracing::warn!("connections and requests that did not end are cut");
         server.abort();
     }
     app.jobs().shutdown(grace.saturating_sub(begin.elapsed())).await;

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use rayon::ThreadPoolBuildError;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
 
 use super::access::Gate;
 use super::audit::Trail;
@@ -30,6 +31,7 @@ struct Inner {
     tls: Option<Arc<Tls>>,
     counters: Counters,
     closing: CancellationToken,
+    requests: TaskTracker,
 }
 
 impl App {
@@ -56,11 +58,17 @@ impl App {
             tls: tls.map(Arc::new),
             counters: Counters::default(),
             closing: CancellationToken::new(),
+            requests: TaskTracker::new(),
         })))
     }
 
     pub fn jobs(&self) -> &JobService {
         &self.0.jobs
+    }
+
+    /// The requests that change something: they go on to their end without their clients.
+    pub(super) fn requests(&self) -> &TaskTracker {
+        &self.0.requests
     }
 
     pub fn limits(&self) -> &Limits {

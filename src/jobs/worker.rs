@@ -195,7 +195,7 @@ impl Worker {
         let entry = self.shared.board.start(job.id);
         let meter = self.shared.meter.clone();
         let (mut left, mut kept) = (None, None);
-        let place = (slot, meter.begin());
+        let place = (Arc::new(slot), meter.begin());
         if self.holds(&job, lease).await {
             entry.runs(&job, Timeline::start(&job, meter.clone(), &self.shared.settings.spans));
             match self.read_input(&job, &entry).await {
@@ -278,18 +278,21 @@ impl Worker {
         lease: &Lease,
         entry: &Arc<Entry>,
         bytes: Bytes,
-        slot: &Slot,
+        slot: &Arc<Slot>,
     ) -> Outcome {
         let (answer, mut answered) = oneshot::channel();
         let (runner, control) = (self.shared.runner.clone(), RunControl::new(entry.clone()));
         let work = Work { input: job.input.clone(), bytes, spec: job.spec.clone() };
         let span = tracing::Span::current();
+        // Its threads are taken until it ends, whatever becomes of the worker.
+        let taken = slot.clone();
         slot.spawn(move || {
             let run = || span.in_scope(|| between_points(|| runner.run(work, &control)));
             let outcome = match catch_unwind(AssertUnwindSafe(run)) {
                 Ok(result) => Outcome::Answered(result),
                 Err(_) => Outcome::Panicked,
             };
+            drop(taken);
             // The receiver is gone only when the run was given up.
             answer.send(outcome).ok();
         });

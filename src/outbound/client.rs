@@ -6,6 +6,8 @@ use bytes::{Bytes, BytesMut};
 use reqwest::redirect;
 use serde::{Deserialize, Serialize};
 
+use super::names::Names;
+
 /// Why nothing came back.
 #[derive(Debug, thiserror::Error)]
 pub enum OutboundError {
@@ -42,6 +44,7 @@ impl Client {
         }
         let client = builder
             .timeout(limit)
+            .dns_resolver(Names)
             .redirect(redirect::Policy::none())
             .referer(false)
             .user_agent(concat!("rosaline/", env!("CARGO_PKG_VERSION")))

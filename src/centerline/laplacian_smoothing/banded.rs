@@ -23,11 +23,15 @@ impl Banded {
     /// Solves for `right`, in place: elimination row by row (LDL', Golub and Van Loan, *Matrix Computations*, 4.3.5).
     /// O(n).
     pub fn solve(mut self, right: &mut [f64]) {
+        /// What rounding leaves of a diagonal entry.
+        const ROUNDED: f64 = 1e-15;
         let n = self.rows.len();
+        let diagonal: Vec<f64> = self.rows.iter().map(|row| row[0]).collect();
         for i in 0..n {
             let (done, after) = self.rows.split_at_mut(i + 1);
             let row = &mut done[i];
-            row[0] = row[0].max(f64::MIN_POSITIVE);
+            // Rounding may leave less than nothing where nothing holds: then hardly anything does.
+            row[0] = row[0].max(ROUNDED * diagonal[i]).max(f64::MIN_POSITIVE);
             for (k, below) in after.iter_mut().take(BAND).enumerate() {
                 let share = row[k + 1] / row[0];
                 // Coordinates that nothing ties together are many.

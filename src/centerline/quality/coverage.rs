@@ -13,7 +13,6 @@ use crate::centerline::line_tree::{LineTree, Segment};
 const NEAR: f64 = 1.5;
 /// What of the wall lies farther than so many radii of the line there (first) is told from so large a share of the
 /// area on (second): little of it when it lies far.
-///
 const FAR: [(f64, Radii, f64); 3] =
     [(1.5, Radii::Wide, 0.005), (2.0, Radii::Wide, 5e-4), (3.0, Radii::Inscribed, 0.005)];
 /// The most triangles that are looked at, evenly by number.
@@ -56,11 +55,13 @@ pub fn measure(surface: &Surface, line: &LineTree, graph: &ComponentGraph) -> Co
 
 /// Long over short half axis of the ellipse that has the line's two radii at a segment.
 fn flatness(graph: &ComponentGraph, segment: &Segment) -> f64 {
+    /// Beyond this a section has taken in more than its vessel.
+    const FLATTEST: f64 = 4.0;
     let branch = &graph.branches[segment.branch];
     let one = |at: usize| (branch.equivalent_radii[at] / branch.radii[at]).powi(2);
     let flatness = one(segment.place).max(one(segment.place + 1));
     // At the far wall of a sac the radius may be nothing.
-    if flatness.is_finite() { flatness.max(1.0) } else { 1.0 }
+    if flatness.is_finite() { flatness.clamp(1.0, FLATTEST) } else { 1.0 }
 }
 
 /// How far the wall of a line's own vessel may lie.

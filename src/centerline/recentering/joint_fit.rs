@@ -209,7 +209,7 @@ pub fn carry_hidden(stations: &mut [Station], firm: usize, moved: &Vector3<f64>)
     const CHANGE: std::ops::RangeInclusive<f64> = 0.5..=1.6;
     let (seen, hidden) = stations.split_at_mut(firm);
     let Some(last) = seen.last() else { return };
-    let (taper, radius) = (taper(seen), last.radius);
+    let (taper, radius) = (taper(seen), last.radius.max(0.0));
     let (mut before, mut along) = (last.point, 0.0);
     let count = hidden.len() + 1;
     for (i, station) in hidden.iter_mut().enumerate() {

@@ -8,6 +8,7 @@ pub mod joint_fit;
 pub mod joints;
 pub mod limb;
 pub mod sweep;
+pub mod swept_fit;
 pub mod swept_tube;
 pub mod swept_wall;
 pub mod union_fit;

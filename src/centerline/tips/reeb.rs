@@ -72,11 +72,13 @@ pub fn reeb_graph(
     let measure = move || geodesic_told(edges, sources, cancel, |reached| drop(tell.send(reached.to_vec())));
     let follow = move || {
         let mut sweep = Sweep::new(&surface.corners);
-        hear.into_iter().flatten().for_each(|v| sweep.pass(v));
+        let heard = hear.into_iter().take_while(|_: &Vec<u32>| !cancel.is_cancelled());
+        heard.flatten().for_each(|v| sweep.pass(v));
         sweep
     };
     let (geodesic, sweep) = rayon::join(measure, follow);
     let Geodesic { distance, order } = geodesic?;
+    cancel.check()?;
     let Sweep { mut nodes, mut arcs, rank, .. } = sweep;
     for node in &mut nodes {
         node.level = distance[node.vertex as usize];

@@ -6,6 +6,7 @@ use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use tokio::sync::OwnedSemaphorePermit;
 
 use super::super::access::{Caller, Left};
 use super::super::document::{self, SubmitProblems};
@@ -48,12 +49,12 @@ pub async fn submit(State(app): State<App>, caller: Caller, request: Request) ->
     let left = request.extensions().get::<Left>().cloned();
     let receiving = span.child("receive");
     let mut received = upload::receive(&app, request).await?;
-    drop((place, receiving));
+    drop(receiving);
     received.owner = caller.owner().map(str::to_owned);
     if received.asked.dry_run {
-        return inspect(&app, received).await;
+        return inspect(&app, received, place).await;
     }
-    let job = accept(&app, received, request_id, claim.as_ref(), &span).await?;
+    let job = accept(&app, received, place, request_id, claim.as_ref(), &span).await?;
     // A job may end before its request does, which waits for it then.
     drop(span);
     drop(claim);
@@ -64,9 +65,15 @@ pub async fn submit(State(app): State<App>, caller: Caller, request: Request) ->
     Ok(created(&job, wait))
 }
 
-/// Reads the mesh and says what is wrong with it; nothing of it is kept.
-async fn inspect(app: &App, Received { upload, hint, .. }: Received) -> Result<Response, Problem> {
+/// Reads the mesh and says what is wrong with it; nothing of it is kept. What waits for its check has the place of an
+/// upload still, also when its client has gone: it lies on the disk.
+async fn inspect(
+    app: &App,
+    Received { upload, hint, .. }: Received,
+    place: OwnedSemaphorePermit,
+) -> Result<Response, Problem> {
     let turn = app.validator().turn().await?;
+    drop(place);
     let bytes = upload.read().await?;
     let inspection = app.validator().inspect(turn, bytes, hint, upload.sha256().to_owned()).await?;
     Ok(([(header::CACHE_CONTROL, "no-store")], Json(inspection)).into_response())
@@ -76,6 +83,7 @@ async fn inspect(app: &App, Received { upload, hint, .. }: Received) -> Result<R
 async fn accept(
     app: &App,
     received: Received,
+    place: OwnedSemaphorePermit,
     request_id: Option<String>,
     claim: Option<&Claim>,
     span: &Span,
@@ -104,6 +112,7 @@ async fn accept(
     }
     let checking = span.child("check");
     let turn = app.validator().turn().await?;
+    drop(place);
     let bytes = upload.read().await?;
     let format = app.validator().check(turn, bytes, hint).await?;
     drop(checking);

@@ -107,6 +107,7 @@ impl Process {
         limit: u64,
         control: &RunControl,
     ) -> Result<Answer, Death> {
+        self.complaint.clear();
         let mut hearing = Hearing::new(limit);
         let mut told = [IoSlice::new(order), IoSlice::new(mesh)];
         let answer = self.converse(&mut told, &mut hearing, control);
