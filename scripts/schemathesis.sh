@@ -7,7 +7,7 @@ cd "$(dirname "$0")/.."
 venv=target/schemathesis
 if [ ! -x "$venv/bin/schemathesis" ]; then
   python3 -m venv "$venv"
-  "$venv/bin/pip" install --quiet schemathesis==4.32.5
+  "$venv/bin/pip" install --quiet schemathesis==4.32.5 backports.zstd
 fi
 cargo build --quiet
 

@@ -169,8 +169,9 @@ pub fn job_parameters() -> Vec<(String, Object)> {
 
 /// A parameter of points: one as a text, many as a list of texts.
 pub fn points_schema(spec: &PointsSpec) -> Schema {
-    /// A finite number, as JSON and many languages write it, three times.
-    const POINT: &str = "^ *[-+]?[0-9.]+([eE][-+]?[0-9]+)?( *, *[-+]?[0-9.]+([eE][-+]?[0-9]+)?){2} *$";
+    /// A number, as JSON and many languages write it, three times; of so many digits that it is surely finite.
+    const POINT: &str = "^ *[-+]?([0-9]{1,40}(\\.[0-9]{0,40})?|\\.[0-9]{1,40})([eE][-+]?[0-9]{1,2})?\
+        ( *, *[-+]?([0-9]{1,40}(\\.[0-9]{0,40})?|\\.[0-9]{1,40})([eE][-+]?[0-9]{1,2})?){2} *$";
     let description = Some(format!("{}. As x,y,z in the mesh's coordinates", spec.doc));
     let point =
         ObjectBuilder::new().schema_type(Type::String).pattern(Some(POINT)).examples([json!("1.5,-20,3e1")]);
