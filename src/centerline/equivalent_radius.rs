@@ -108,6 +108,8 @@ fn along_branch(branch: &Branch, sections: &[OwnSection]) -> Vec<f64> {
     let known: Vec<(f64, f64)> = sections
         .iter()
         .map(|section| (way[section.place], (section.wall_radius / branch.radii[section.place]).max(1.0)))
+        // Where no sphere fits there is no ratio.
+        .filter(|(_, ratio)| ratio.is_finite())
         .collect();
     let ratio = |at: f64| {
         let after = known.partition_point(|&(place, _)| place < at);

@@ -206,7 +206,7 @@ fn summary(prepared: &Prepared) -> SurfaceSummary {
         triangles: prepared.report.triangles,
         components: prepared.components.len(),
         genus: prepared.components.iter().map(Surface::genus).sum(),
-        openings: prepared.components.iter().map(|surface| surface.openings.len()).sum(),
+        openings: prepared.components.iter().map(Surface::open_cuts).sum(),
         diagonal: prepared.report.diagonal,
     }
 }

@@ -40,7 +40,7 @@ impl FromStr for Preset {
         match text {
             "default" => Ok(Preset::Default),
             "paper" => Ok(Preset::Paper),
-            _ => Err(ParameterError::UnknownPreset { found: text.to_owned() }),
+            _ => Err(ParameterError::UnknownPreset { found: text.chars().take(40).collect() }),
         }
     }
 }

@@ -376,7 +376,7 @@ pub(in crate::centerline) fn refuse_blob(
         return Err(ExtractError::NotTubular { detail });
     }
     let [branch] = &graph.branches[..] else { return Ok(()) };
-    let is_blob = surface.openings.len() < 2 && branch.from != branch.to && branch.length() < 2.5 * widest;
+    let is_blob = surface.open_cuts() < 2 && branch.from != branch.to && branch.length() < 2.5 * widest;
     if is_blob {
         let detail = format!("its line would be {:.3} long at a radius of {widest:.3}", branch.length());
         return Err(ExtractError::NotTubular { detail });

@@ -72,7 +72,7 @@ impl Inspection {
             triangles: mesh.triangles.len(),
             components: components.len(),
             genus: components.iter().map(Surface::genus).sum(),
-            openings: components.iter().map(|surface| surface.openings.len()).sum(),
+            openings: components.iter().map(Surface::open_cuts).sum(),
             diagonal: report.diagonal,
             defects,
         }

@@ -1,6 +1,8 @@
 //! The connected components of closed triangles: each a surface of its own, oriented outward, numbered by a walk; those
 //! inside another go.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use super::TriangleMesh;
@@ -8,7 +10,7 @@ use super::cavities::inside_others;
 use super::corner_table::{CornerTable, NONE};
 use super::measures::signed_volume;
 use super::numbering::walk;
-use super::openings::CappedOpening;
+use super::openings::Opening;
 use super::preparation::{PreparationReport, Surface};
 
 /// A connected component, oriented outward.
@@ -44,7 +46,7 @@ pub(super) fn leave_cavities_out(
 pub(super) fn split_components<E>(
     soup: TriangleMesh,
     opposite: Vec<u32>,
-    openings: Vec<CappedOpening>,
+    openings: Vec<Opening>,
     go_on: impl Fn() -> Result<(), E>,
 ) -> Result<Vec<Component>, E> {
     let (component, members) = component_triangles(&opposite, soup.triangles.len());
@@ -79,10 +81,14 @@ pub(super) fn split_components<E>(
         });
     }
     go_on()?;
-    for CappedOpening { mut opening, triangle } in openings {
+    for mut opening in openings {
+        let Range { start, end } = opening.cap;
+        let first = triangle_name[start as usize];
         opening.centre = vertex_name[opening.centre as usize];
         opening.rim.iter_mut().for_each(|v| *v = vertex_name[*v as usize]);
-        components[component[triangle as usize] as usize].surface.openings.push(opening);
+        // A fan's triangles follow each other, and keep their order.
+        opening.cap = first..first + (end - start);
+        components[component[start as usize] as usize].surface.openings.push(opening);
     }
     Ok(components)
 }

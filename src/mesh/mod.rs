@@ -3,6 +3,7 @@
 mod cavities;
 mod components;
 pub mod corner_table;
+mod flat_caps;
 pub mod format;
 mod matching;
 mod measures;

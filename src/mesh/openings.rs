@@ -1,6 +1,9 @@
 //! Openings: where the vessel was cut. Each is closed by a cap. A hole in the wall is closed too, and is none.
 
+use std::ops::Range;
+
 use nalgebra::{Point3, Vector3};
+use rustc_hash::FxHashSet;
 
 use super::TriangleMesh;
 use super::corner_table::{NONE, next, previous};
@@ -15,17 +18,19 @@ pub struct Opening {
     pub rim: Vec<u32>,
     /// Length of the rim over 2 pi: the radius of the circle with that circumference.
     pub radius: f64,
-}
-
-/// An opening with the first triangle of its cap, both in the soup's numbers.
-pub(super) struct CappedOpening {
-    pub opening: Opening,
-    pub triangle: u32,
+    /// The triangles of the fan.
+    pub cap: Range<u32>,
+    /// Whether the mesh had closed it itself, by a plane.
+    pub was_closed: bool,
 }
 
 /// Closes every boundary loop by a fan around the centre of its rim; returns the openings, and a vertex of each hole
-/// that is none. O(boundary edges).
-pub(super) fn cap(mesh: &mut TriangleMesh, opposite: &mut Vec<u32>) -> (Vec<CappedOpening>, Sites) {
+/// that is none. Rims of vertices in `closed` are those of flat caps. O(boundary edges).
+pub(super) fn cap(
+    mesh: &mut TriangleMesh,
+    opposite: &mut Vec<u32>,
+    closed: &FxHashSet<u32>,
+) -> (Vec<Opening>, Sites) {
     let mut openings = Vec::new();
     let mut holes = Sites::default();
     let half_edges = opposite.len() as u32;
@@ -41,7 +46,8 @@ pub(super) fn cap(mesh: &mut TriangleMesh, opposite: &mut Vec<u32>) -> (Vec<Capp
         }
         let origin = |h: u32| mesh.triangles[(h / 3) as usize][(h % 3) as usize];
         let rim: Vec<u32> = rim_edges.iter().map(|&h| origin(h)).collect();
-        let is_hole = is_hole(mesh, opposite, &rim_edges);
+        let was_closed = closed.contains(&rim[0]);
+        let is_hole = !was_closed && is_hole(mesh, opposite, &rim_edges);
         let (centre_point, length) = rim_centre(mesh, &rim);
         let centre = mesh.vertices.len() as u32;
         mesh.vertices.push(centre_point);
@@ -61,8 +67,8 @@ pub(super) fn cap(mesh: &mut TriangleMesh, opposite: &mut Vec<u32>) -> (Vec<Capp
             holes.add(rim[0]);
             continue;
         }
-        let opening = Opening { centre, rim, radius: length / std::f64::consts::TAU };
-        openings.push(CappedOpening { opening, triangle: first_cap / 3 });
+        let cap = first_cap / 3..first_cap / 3 + count;
+        openings.push(Opening { centre, rim, radius: length / std::f64::consts::TAU, cap, was_closed });
     }
     (openings, holes)
 }

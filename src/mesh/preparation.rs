@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use super::TriangleMesh;
 use super::components::{leave_cavities_out, split_components};
 use super::corner_table::{CornerTable, NONE, next, previous};
+use super::flat_caps;
 use super::matching::{MatchReport, match_half_edges};
 use super::measures::{area, diagonal, signed_volume, total_area};
 use super::openings::cap;
@@ -44,6 +45,18 @@ impl Surface {
         let (v, f) = (self.mesh.vertices.len() as i64, self.mesh.triangles.len() as i64);
         let euler = v - 3 * f / 2 + f;
         ((2 - euler) / 2).max(0) as usize
+    }
+
+    /// Cuts that the mesh leaves open.
+    pub fn open_cuts(&self) -> usize {
+        self.openings.iter().filter(|opening| !opening.was_closed).count()
+    }
+
+    /// Whether a triangle closes an opening: it is no wall. O(1), O(openings) past the first cap.
+    pub fn is_cap(&self, triangle: u32) -> bool {
+        // They come last, in the order of the openings.
+        self.openings.first().is_some_and(|first| triangle >= first.cap.start)
+            && self.openings.iter().any(|opening| opening.cap.contains(&triangle))
     }
 
     /// Diagonal of the bounding box, in the input's unit.
@@ -140,7 +153,8 @@ pub fn prepare_while<E: From<PreparationError>>(
     let names;
     (report.split_vertices, names) = split_fans(&mut soup, &opposite);
     go_on()?;
-    let (openings, holes) = cap(&mut soup, &mut opposite);
+    let closed = flat_caps::open(&mut soup, &mut opposite);
+    let (openings, holes) = cap(&mut soup, &mut opposite, &closed);
     report.holes = holes.renamed(&names);
     go_on()?;
     let parts = split_components(soup, opposite, openings, &go_on)?;

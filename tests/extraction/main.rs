@@ -3,6 +3,7 @@
 
 mod cancellation;
 mod closed_forms;
+mod cuts;
 mod defects;
 mod invariance;
 mod known_ends;

@@ -34,9 +34,10 @@ struct WallSide {
 /// The sides of a section that are wall.
 fn wall_sides(surface: &Surface, cut: &Section) -> Vec<WallSide> {
     let mut wall = Vec::with_capacity(cut.points.len());
-    for ((p, q, _), normal) in cut.sides().zip(cut.normals(surface)) {
+    for ((p, q, t), normal) in cut.sides().zip(cut.normals(surface)) {
         if let Some((normal, lean)) = plane_normal(cut, normal)
             && lean <= LEAN
+            && !surface.is_cap(t)
         {
             wall.push(WallSide { ends: [p, q], middle: nalgebra::center(&p, &q), normal });
         }
@@ -113,7 +114,9 @@ fn is_square(surface: &Surface, cut: &Section) -> bool {
 /// eigenvalue of their covariance (eq. 9), on the side of the section's normal.
 pub fn wall_axis(surface: &Surface, cut: &Section) -> Vector3<f64> {
     let mut covariance = Matrix3::zeros();
-    for ((p, q, _), normal) in cut.sides().zip(cut.normals(surface)) {
+    for ((p, q, _), normal) in
+        cut.sides().zip(cut.normals(surface)).filter(|((.., t), _)| !surface.is_cap(*t))
+    {
         covariance += normal * normal.transpose() * (q - p).norm();
     }
     let eigen = covariance.symmetric_eigen();
@@ -155,6 +158,9 @@ pub fn judge_end(surface: &Surface, station: &mut Station, cut: &Section, expect
         let length = (q - p).norm();
         all += length;
         let leans = |normal: Vector3<f64>| normal.dot(&cut.frame.t).abs();
+        if surface.is_cap(t) {
+            continue;
+        }
         if plane_normal(cut, normal).is_some_and(|(_, lean)| lean <= LEAN)
             || broad_normal(surface, t).is_some_and(|normal| leans(normal) < WALL)
         {

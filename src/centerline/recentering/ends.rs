@@ -1,6 +1,8 @@
 //! Ends: the line reaches the middle of the cap, of the opening or of a dome's far wall.
 
-use nalgebra::{Matrix3, Point3, Unit};
+use nalgebra::{Matrix3, Point3, Unit, Vector3};
+
+use crate::mesh::preparation::{Opening, Surface};
 
 use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
 use crate::centerline::segmentation::track::{Bulge, SPACING, Sight, Station, Track, update_tangents};
@@ -31,8 +33,9 @@ pub fn end_point(grid: &TriangleGrid<'_>, track: &Track, tip: u32) -> EndPoint {
     let line = CurveEnd::of(&points, reach);
     let line =
         line.unwrap_or(CurveEnd { point: last.point, tangent: *last.tangent, curvature: nalgebra::zero() });
-    if opening.is_some() {
-        let point = in_opening(&line, &tip_point, last.section_radius);
+    if let Some(opening) = opening {
+        let square = rim_normal(surface, opening);
+        let point = in_opening(&line, &tip_point, square, last.section_radius);
         return EndPoint { point, radius: continued_radius(track, (point - last.point).norm()) };
     }
     let hit = grid.way_out(&last.point, &line.tangent);
@@ -42,19 +45,38 @@ pub fn end_point(grid: &TriangleGrid<'_>, track: &Track, tip: u32) -> EndPoint {
     EndPoint { point: last.point + line.tangent * distance, radius: continued_radius(track, distance) }
 }
 
-/// Where a line ends in an opening: beside the centre of the rim, which a jagged cut moves off the axis; at that
+/// Where a line ends in an opening, on its plane: beside the centre of the rim, which a jagged cut moves off the axis; at that
 /// centre where the line does not lead there.
-fn in_opening(line: &CurveEnd, centre: &Point3<f64>, radius: f64) -> Point3<f64> {
+fn in_opening(line: &CurveEnd, centre: &Point3<f64>, square: Vector3<f64>, radius: f64) -> Point3<f64> {
     /// How far a cut moves the centre, in radii.
     const JAGGED: f64 = 0.25;
+    /// Cosine between the line and the direction square to the opening, below which the line runs along it.
+    const ALONG: f64 = 0.3;
     let mut s = (centre - line.point).dot(&line.tangent);
+    let mut aslant = 1.0;
     for _ in 0..3 {
         let (point, direction) = line.at(s);
-        s += (centre - point).dot(&direction);
+        aslant = direction.dot(&square);
+        s += if aslant > ALONG {
+            (centre - point).dot(&square) / aslant
+        } else {
+            (centre - point).dot(&direction)
+        };
     }
     let (point, _) = line.at(s);
-    let near = s > 0.0 && (point - centre).norm() < JAGGED * radius;
+    let near = s > 0.0 && (point - centre).norm() < JAGGED * radius / aslant.max(ALONG);
     if near { point } else { *centre }
+}
+
+/// The direction out of the vessel and square to an opening, unit; zero where the rim encloses nothing.
+fn rim_normal(surface: &Surface, opening: &Opening) -> Vector3<f64> {
+    let at = |v: u32| surface.mesh.vertices[v as usize];
+    let areas = opening.cap.clone().map(|t| surface.mesh.triangles[t as usize].map(at));
+    areas
+        .map(|[a, b, c]| (b - a).cross(&(c - a)))
+        .sum::<Vector3<f64>>()
+        .try_normalize(0.0)
+        .unwrap_or_default()
 }
 
 /// Goes on along the middles of the level sets where a line that runs straight on would leave the lumen through

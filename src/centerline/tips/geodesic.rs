@@ -12,6 +12,9 @@ use crate::mesh::preparation::Opening;
 
 use crate::centerline::{CancelToken, ExtractError};
 
+/// How far an opening's centre is raised over its rim, in radii of the opening.
+pub const RISE: f64 = 4.0;
+
 /// Distances from a source, and the order in which the vertices were reached.
 #[derive(Debug, Clone, Default)]
 pub struct Geodesic {
@@ -76,7 +79,7 @@ impl EdgeGraph {
     /// however shortly it was cut.
     pub fn raise(&mut self, openings: &[Opening]) {
         for opening in openings {
-            self.raise_vertex(opening.centre, 4.0 * opening.radius);
+            self.raise_vertex(opening.centre, RISE * opening.radius);
         }
     }
 

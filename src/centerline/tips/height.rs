@@ -9,6 +9,7 @@ use crate::mesh::preparation::Opening;
 use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
 
 use super::Pruning;
+use super::geodesic::RISE;
 
 impl Pruning<'_> {
     /// How far the function rises along an arc.
@@ -39,11 +40,17 @@ impl Pruning<'_> {
         let radius = first.base_length / TAU;
         let tip = self.graph.nodes[leaf as usize].vertex;
         let opening = self.opening_at(leaf);
+        let open = opening.filter(|opening| !opening.was_closed);
         // The vessel was cut here, however shortly; a small opening straight in the wall is a hole.
-        if opening.is_some_and(|opening| !beside.is_finite() || opening.radius >= HOLE * beside) {
+        if open.is_some_and(|opening| !beside.is_finite() || opening.radius >= HOLE * beside) {
             return true;
         }
-        let sample = (first.base_length / f64::from(first.base_edges.max(1))).max(self.edge_at(tip));
+        // A flat bump ends in a plane too: it counts by its height without the rise that made the middle its tip.
+        let closed = opening.filter(|opening| opening.was_closed);
+        let height = height - closed.map_or(0.0, |opening| RISE * opening.radius);
+        // The edges of a fan are as long as the opening is wide.
+        let sampled = opening.map_or(tip, |opening| opening.rim[0]);
+        let sample = (first.base_length / f64::from(first.base_edges.max(1))).max(self.edge_at(sampled));
         let least = (tip_height * radius.min(beside)).max(SAMPLES * sample);
         if let Some(met) = self.met_below(base, arcs, radius.min(beside)) {
             return height >= least && self.over_fronts(met, leaf) >= least;

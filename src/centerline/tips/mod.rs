@@ -235,7 +235,7 @@ impl Pruning<'_> {
         if self.degree(base) < 3 {
             return;
         }
-        if self.opening_at(ROOT).is_some() {
+        if self.opening_at(ROOT).is_some_and(|opening| !opening.was_closed) {
             return;
         }
         let Some(top) = arcs.last().and_then(|&arc| self.rings(arc).last()) else { return };
