@@ -10,7 +10,7 @@ COPY Cargo.toml Cargo.lock ./
 COPY src src
 COPY benches benches
 RUN --mount=type=cache,target=/usr/local/cargo/registry --mount=type=cache,target=/source/target \
-    cargo build --release --locked --bin rosaline && cp target/release/rosaline /rosaline
+    cargo build --release --locked --bin rosaline && strip --strip-debug -o /rosaline target/release/rosaline
 
 FROM debian:trixie-slim
 # Whom requests go to that the service sends itself: webhooks, and an issuer's keys.
