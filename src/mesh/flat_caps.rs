@@ -32,6 +32,8 @@ const VESSEL: std::ops::Range<f64> = 0.65..1.35;
 const AROUND: f64 = 12.0;
 /// Least mean sine of the angle at a rim: a smooth wall's facets have less.
 const CREASE: f64 = 0.3;
+/// How often a triangle may be looked at on average: a surface of nothing but flat pieces has no caps.
+const LOOKS: usize = 64;
 /// Twice the area over the square of the longest edge of a triangle whose normal is rounding.
 const SLIVER: f64 = 1e-4;
 
@@ -84,6 +86,8 @@ struct Region<'a> {
     /// The number of the section that each triangle was looked at for last.
     seen: Vec<u32>,
     sections: u32,
+    /// Triangles looked at for sections so far.
+    looks: usize,
     triangles: Vec<u32>,
     /// Sum of its triangles' area vectors, each twice the area long.
     area: Vector3<f64>,
@@ -100,6 +104,7 @@ impl<'a> Region<'a> {
             name: 0,
             seen,
             sections: 0,
+            looks: 0,
             triangles: Vec::new(),
             area: Vector3::zeros(),
         }
@@ -312,6 +317,10 @@ impl<'a> Region<'a> {
                 continue;
             }
             self.seen[t as usize] = self.sections;
+            self.looks += 1;
+            if self.looks > LOOKS * self.seen.len() {
+                return None;
+            }
             let corners = [3 * t, 3 * t + 1, 3 * t + 2].map(|h| {
                 let arm = self.at(h) - point;
                 (arm, arm.dot(normal))
