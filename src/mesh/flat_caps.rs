@@ -1,9 +1,10 @@
 //! Flat caps: where a vessel was cut aslant and the mesh closes the cut itself by a plane.
 //!
-//! Such a cut is taken for what it is, an opening: its triangles go, and a fan around the middle of its rim, which is
-//! the same surface, comes instead. A cut aslant would else look like wall, and its far corner like the tip.
+//! Such a cut is taken for what it is, an opening: its triangles go, and a fan around the middle of its rim comes
+//! instead, nearly the same surface. A cut aslant would else look like wall, and its far corner like the tip.
 
 use std::collections::VecDeque;
+use std::f64::consts::PI;
 
 use nalgebra::{Point3, Vector3};
 use rustc_hash::FxHashSet;
@@ -11,31 +12,35 @@ use rustc_hash::FxHashSet;
 use super::TriangleMesh;
 use super::corner_table::{NONE, next, previous};
 
-/// Cosine of the most that a triangle of a cap leans against its first: a rim need not be plane.
+/// Cosine of the most that a triangle of a cap leans against it: a rim need not be plane.
 const FLAT: f64 = 0.978;
-/// Fewest edges of a rim: the side of a box is no cap.
+/// Fewest edges of a rim: the side of a box is no cap. A disc of so many triangles less two has no more.
 const EDGES: usize = 6;
 /// Area over that of the circle with the same circumference, of the longest ellipse that is a cut.
 const ROUND: f64 = 0.4;
 /// How often a jagged rim is cut back.
 const ROUNDS: usize = 8;
-/// Least and most of the section half a radius behind it over its own area, and edges of its rim, in radii, up to which
-/// it may lack one all around: marching cubes rounds the rim.
-const SECTION: std::ops::Range<f64> = 0.65..1.15;
-const SHORT: f64 = 0.5;
-/// Cosine between cap and vessel above which the cut is square enough to be seen for what it is.
-const SQUARE: f64 = 0.9;
-/// The same of the section a radius behind it over that one: a vessel that widens or narrows toward its cut does so
-/// by less than 20 degrees, a facet of a wall or dome is the top of much more.
-const VESSEL: std::ops::Range<f64> = 0.65..1.35;
-/// Most of the surface that may lie before a section, in the area that the section should have.
-const AROUND: f64 = 12.0;
 /// Least mean sine of the angle at a rim: a smooth wall's facets have less.
 const CREASE: f64 = 0.3;
+/// Least and most of the section half a radius behind a cap over its own area.
+const SECTION: std::ops::Range<f64> = 0.65..1.15;
+/// Marching cubes rounds a rim: a cap may lack an edge all around, where its edges are shorter than this, in radii.
+const SHORT: f64 = 0.5;
+/// Least and most of the section one radius behind a cap over the one half a radius behind it: a vessel that widens or
+/// narrows toward its cut does so slowly; a facet of a wall or dome is the top of much more.
+const VESSEL: std::ops::Range<f64> = 0.65..1.35;
+/// The same one and a half radii behind it: a bend widens the section, a dome has ended there.
+const ONWARD: std::ops::Range<f64> = 0.5..1.8;
+/// Cosine between cap and vessel above which the cut is square enough to be seen for what it is.
+const SQUARE: f64 = 0.9;
+/// Most of the surface that may lie before a section, in the area that the section should have.
+const AROUND: f64 = 24.0;
 /// How often a triangle may be looked at on average: a surface of nothing but flat pieces has no caps.
 const LOOKS: usize = 64;
 /// Twice the area over the square of the longest edge of a triangle whose normal is rounding.
 const SLIVER: f64 = 1e-4;
+/// Owner of what was cut back.
+const GIVEN_UP: u32 = NONE - 1;
 
 /// Takes the triangles of all flat caps out of a soup whose half-edges are matched; returns the vertices of their rims.
 /// O(triangles).
@@ -52,7 +57,6 @@ pub(super) fn open(mesh: &mut TriangleMesh, opposite: &mut Vec<u32>) -> FxHashSe
             out.extend_from_slice(&region.triangles);
         }
     }
-    drop(region);
     if !out.is_empty() {
         take_out(mesh, opposite, &out);
     }
@@ -134,7 +138,7 @@ impl<'a> Region<'a> {
     }
 
     /// Grows over what lies flat with triangle `seed`, if no earlier one has it; its rim's half-edges in order where it
-    /// is a disc with neighbours all around.
+    /// is a disc with neighbours all around, and every part of the rim is seen from its middle.
     fn grow(&mut self, seed: u32) -> Option<Vec<u32>> {
         if self.owner[seed as usize] != NONE {
             return None;
@@ -143,8 +147,8 @@ impl<'a> Region<'a> {
         if self.is_sliver(seed, normal.norm()) {
             return None;
         }
-        let closed = self.flood(seed, normal, 2 * seed);
-        if !closed || self.triangles.len() + 2 < EDGES || self.fall().abs() < CREASE {
+        self.flood(seed, normal, 2 * seed);
+        if self.triangles.len() + 2 < EDGES {
             return None;
         }
         // The seed may lie at the edge, and lean: what was found tells better what is flat.
@@ -152,16 +156,23 @@ impl<'a> Region<'a> {
         let along = |t: &u32| self.area_of(*t).dot(&mean);
         let best = self.triangles.iter().copied().max_by(|a, b| along(a).total_cmp(&along(b)))?;
         let closed = self.flood(best, mean, 2 * seed + 1);
-        if !closed {
+        if !closed || self.fall().abs() < CREASE {
             return None;
         }
-        (0..ROUNDS).find_map(|_| self.rim_or_cut_back())?
+        for _ in 0..ROUNDS {
+            let rim = self.rim()?;
+            if !self.cut_back(&rim) {
+                return Some(rim);
+            }
+        }
+        None
     }
 
     /// Takes what lies flat with a plane of that normal and hangs together with `first`, under the number `name`;
     /// whether it has neighbours all around.
     fn flood(&mut self, first: u32, normal: Vector3<f64>, name: u32) -> bool {
-        let free = |owner: u32| owner == NONE || owner + 1 == name;
+        // The second flood of a seed may take what the first took.
+        let free = |owner: u32| owner == NONE || (name % 2 == 1 && owner + 1 == name);
         let size = normal.norm();
         (self.name, self.area) = (name, Vector3::zeros());
         self.triangles.clear();
@@ -188,25 +199,20 @@ impl<'a> Region<'a> {
         closed
     }
 
-    /// The rim, if every part of it is seen from its middle; else what hides a part is given up.
-    fn rim_or_cut_back(&mut self) -> Option<Option<Vec<u32>>> {
-        let Some(rim) = self.rim() else { return Some(None) };
-        let Some(normal) = self.area.try_normalize(0.0) else { return Some(None) };
-        let centre = self.middle(&rim);
-        let seen = |h: u32| (self.at(h) - centre).cross(&(self.at(next(h)) - centre)).dot(&normal) > 0.0;
+    /// Gives up the triangles at a rim whose edges are not seen from its middle; whether there were any.
+    fn cut_back(&mut self, rim: &[u32]) -> bool {
+        let centre = self.middle(rim);
+        let seen = |h: u32| (self.at(h) - centre).cross(&(self.at(next(h)) - centre)).dot(&self.area) > 0.0;
         let hiding: FxHashSet<u32> = rim.iter().filter(|&&h| !seen(h)).map(|h| h / 3).collect();
-        if hiding.is_empty() {
-            return Some(Some(rim));
-        }
         for &t in &hiding {
-            self.owner[t as usize] = NONE - 1;
-            self.area -= self.area_of(t);
+            self.owner[t as usize] = GIVEN_UP;
         }
         self.triangles.retain(|t| !hiding.contains(t));
-        None
+        self.area = self.triangles.iter().map(|&t| self.area_of(t)).sum();
+        !hiding.is_empty()
     }
 
-    /// The half-edges of the rim in order; `None` where they are few, or more than one loop.
+    /// The half-edges of the rim in order; `None` where they are few, more than one loop, or touch an open edge.
     fn rim(&self) -> Option<Vec<u32>> {
         if self.triangles.len() + 2 < EDGES {
             return None;
@@ -223,7 +229,7 @@ impl<'a> Region<'a> {
         let mut seen = FxHashSet::default();
         loop {
             let last = rim[rim.len() - 1];
-            if !seen.insert(self.origin(last)) {
+            if !seen.insert(self.origin(last)) || self.meets_open_edge(last) {
                 return None;
             }
             let mut h = next(last);
@@ -235,6 +241,15 @@ impl<'a> Region<'a> {
             }
             rim.push(h);
         }
+    }
+
+    /// Whether the surface outside is open at the vertex that a half-edge of the rim starts at.
+    fn meets_open_edge(&self, h: u32) -> bool {
+        let mut o = self.opposite[h as usize];
+        while o != NONE && !self.holds(o / 3) {
+            o = self.opposite[next(o) as usize];
+        }
+        o == NONE
     }
 
     /// Length of a rim.
@@ -254,37 +269,44 @@ impl<'a> Region<'a> {
         Point3::from(sum / all)
     }
 
-    /// Whether it closes a cut: round, with an edge all around, and a vessel as wide behind it.
+    /// Whether it closes a cut: round, with an edge around it, and a vessel as wide behind it.
     fn is_cap(&mut self, rim: &[u32]) -> bool {
         let Some(normal) = self.area.try_normalize(0.0) else { return false };
         let around = self.around(rim);
         let area = 0.5 * self.area.norm();
-        if area < ROUND * around * around / (4.0 * std::f64::consts::PI) {
+        let fall = self.fall();
+        if area < ROUND * around * around / (4.0 * PI) || fall.abs() < CREASE {
             return false;
         }
-        self.ends_vessel(rim, &normal, area)
+        // The surface may be inside out.
+        self.ends_vessel(rim, if fall < 0.0 { normal } else { -normal }, area)
     }
 
     /// Whether what comes right behind it is a vessel as wide: by the sections there, parallel to it.
-    fn ends_vessel(&mut self, rim: &[u32], normal: &Vector3<f64>, area: f64) -> bool {
+    fn ends_vessel(&mut self, rim: &[u32], outward: Vector3<f64>, area: f64) -> bool {
         let centre = self.middle(rim);
-        // The surface may be inside out.
-        let outward = if self.fall() < 0.0 { *normal } else { -normal };
-        let edge = self.around(rim) / rim.len() as f64 / (area / std::f64::consts::PI).sqrt();
-        let rounded = if edge < SHORT { (1.0 + edge).powi(2) } else { 1.0 };
+        let edge = self.around(rim) / rim.len() as f64 / (area / PI).sqrt();
+        // Fades toward edges that are too long to be those of marching cubes.
+        let lacking = edge.min(5.0 * (SHORT - edge)).max(0.0);
+        let most = SECTION.end * (1.0 + lacking).powi(2);
         let mut section = |area: f64, radii: f64| {
-            let depth = radii * (area / std::f64::consts::PI).sqrt();
+            let depth = radii * (area / PI).sqrt();
             self.section_behind(rim, &(centre - outward * depth), &outward, AROUND * area)
         };
-        let alike =
-            |near: &(f64, Point3<f64>)| (SECTION.start..SECTION.end * rounded).contains(&(near.0 / area));
-        let Some(near) = section(area, 0.5).filter(alike) else { return false };
-        let Some((far, middle)) = section(near.0, 1.0) else { return false };
+        let Some((near, _)) = section(area, 0.5) else { return false };
+        if !(SECTION.start..most).contains(&(near / area)) {
+            return false;
+        }
+        let Some((far, middle)) = section(near, 1.0) else { return false };
         let along = centre - middle;
-        VESSEL.contains(&(far / near.0)) && along.dot(&outward) < SQUARE * along.norm()
+        if !VESSEL.contains(&(far / near)) || along.dot(&outward) > SQUARE * along.norm() {
+            return false;
+        }
+        section(near, 1.5).is_some_and(|(farther, _)| ONWARD.contains(&(farther / near)))
     }
 
     /// How steeply the surface rises beyond it, the mean sine; 0 for what has no neighbours.
+    /// It must have neighbours all around.
     fn fall(&self) -> f64 {
         let (mut rise, mut way) = (0.0, 0.0);
         for h in self.triangles.iter().flat_map(|&t| 3 * t..3 * t + 3) {
@@ -300,8 +322,8 @@ impl<'a> Region<'a> {
         rise / (way * self.area.norm()).max(f64::MIN_POSITIVE)
     }
 
-    /// Area within the section through `point` of what hangs together with the rim, and its centroid; `None` where there
-    /// is none, or more than `most` of the surface before it.
+    /// Area within the section through `point` of what hangs together with the rim, and its centroid; `None` where
+    /// there is none, or more than `most` of the surface before it.
     fn section_behind(
         &mut self,
         rim: &[u32],

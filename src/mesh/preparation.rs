@@ -36,6 +36,7 @@ pub struct Surface {
     /// Its vertices and triangles; those that cap openings come last.
     pub mesh: TriangleMesh,
     pub corners: CornerTable,
+    /// In the order of their caps.
     pub openings: Vec<Opening>,
 }
 
@@ -52,11 +53,10 @@ impl Surface {
         self.openings.iter().filter(|opening| !opening.was_closed).count()
     }
 
-    /// Whether a triangle closes an opening: it is no wall. O(1), O(openings) past the first cap.
+    /// Whether a triangle closes an opening: it is no wall. O(log openings).
     pub fn is_cap(&self, triangle: u32) -> bool {
-        // They come last, in the order of the openings.
-        self.openings.first().is_some_and(|first| triangle >= first.cap.start)
-            && self.openings.iter().any(|opening| opening.cap.contains(&triangle))
+        let after = self.openings.partition_point(|opening| opening.cap.start <= triangle);
+        after > 0 && self.openings[after - 1].cap.contains(&triangle)
     }
 
     /// Diagonal of the bounding box, in the input's unit.

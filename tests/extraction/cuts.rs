@@ -81,6 +81,23 @@ fn a_flat_cap_aslant_is_taken_for_a_cut_that_was_closed() {
 }
 
 #[test]
+fn a_hole_that_touches_a_cap_leaves_each_vertex_one_fan() {
+    let mut mesh = cut(45.0, |_| 2.0, Ends::Flat);
+    // Of the last row of the wall, the first: one of its corners is on the rim.
+    mesh.triangles.remove(59 * 32 * 2);
+    let prepared = prepare(&mesh).unwrap();
+    let corners = &prepared.components[0].corners;
+    let fans: usize = (0..corners.vertices() as u32).map(|v| corners.star(v).count()).sum();
+    assert_eq!(fans, corners.half_edges());
+    for opening in &prepared.components[0].openings {
+        let mut rim = opening.rim.clone();
+        rim.sort_unstable();
+        rim.dedup();
+        assert_eq!(rim.len(), opening.rim.len(), "a rim passes a vertex once");
+    }
+}
+
+#[test]
 fn what_is_flat_and_no_cut_stays() {
     let box_of = |sides: usize| {
         let axis = |share: f64| Point3::new(0.0, 0.0, 8.0 * share);

@@ -45,12 +45,11 @@ impl Pruning<'_> {
         if open.is_some_and(|opening| !beside.is_finite() || opening.radius >= HOLE * beside) {
             return true;
         }
-        // A flat bump ends in a plane too: it counts by its height without the rise that made the middle its tip.
-        let closed = opening.filter(|opening| opening.was_closed);
-        let height = height - closed.map_or(0.0, |opening| RISE * opening.radius);
-        // The edges of a fan are as long as the opening is wide.
-        let sampled = opening.map_or(tip, |opening| opening.rim[0]);
-        let sample = (first.base_length / f64::from(first.base_edges.max(1))).max(self.edge_at(sampled));
+        let height = height - self.rise_of_cap(leaf);
+        // The edges of a fan are as long as the cap is wide.
+        let of_cap = self.closed_at(leaf).map(|closed| TAU * closed.radius / closed.rim.len() as f64);
+        let sample = (first.base_length / f64::from(first.base_edges.max(1)))
+            .max(of_cap.unwrap_or_else(|| self.edge_at(tip)));
         let least = (tip_height * radius.min(beside)).max(SAMPLES * sample);
         if let Some(met) = self.met_below(base, arcs, radius.min(beside)) {
             return height >= least && self.over_fronts(met, leaf) >= least;
@@ -71,6 +70,17 @@ impl Pruning<'_> {
     pub fn opening_at(&self, node: u32) -> Option<&Opening> {
         let vertex = self.graph.nodes[node as usize].vertex;
         self.surface.openings.iter().find(|opening| opening.centre == vertex)
+    }
+
+    /// The cut whose flat cap's middle a node is.
+    fn closed_at(&self, node: u32) -> Option<&Opening> {
+        self.opening_at(node).filter(|opening| opening.was_closed)
+    }
+
+    /// How much of a leaf's height is the rise that made the middle of a flat cap its tip: a flat bump ends in a plane
+    /// too, and counts by what is left.
+    pub fn rise_of_cap(&self, leaf: u32) -> f64 {
+        self.closed_at(leaf).map_or(0.0, |closed| RISE * closed.radius)
     }
 
     /// Length of a short edge at a vertex: not the shortest, which noise makes.

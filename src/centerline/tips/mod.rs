@@ -208,7 +208,7 @@ impl Pruning<'_> {
             let kept = choice.kept.contains(&self.graph.nodes[leaf as usize].vertex);
             if !kept && !self.stands_out(&arcs, base, leaf, height, choice.tip_height) {
                 arcs.iter().for_each(|&arc| self.alive[arc as usize] = false);
-                self.doubt(&arcs, leaf, height);
+                self.doubt(&arcs, leaf, height - self.rise_of_cap(leaf));
             }
         }
         Ok(())
