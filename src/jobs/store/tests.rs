@@ -69,6 +69,25 @@ fn artifact(id: JobId) -> StoredArtifact {
 }
 
 #[tokio::test]
+async fn what_was_deleted_is_in_no_file_after_a_round_of_the_housekeeping() {
+    let fixture = Fixture::new().await;
+    let mut job = fixture.insert().await;
+    job.id = fixture.ids.next();
+    job.spec.origin.request_id = Some("DOE^JANE".to_owned());
+    fixture.store.insert(&job).await.unwrap();
+    let found = || {
+        let files = std::fs::read_dir(fixture.dir.path()).unwrap().map(|entry| entry.unwrap().path());
+        let bytes = files.flat_map(|path| std::fs::read(path).unwrap()).collect::<Vec<u8>>();
+        bytes.windows(8).filter(|word| *word == b"DOE^JANE").count()
+    };
+    assert_ne!(found(), 0);
+    assert!(fixture.store.dismiss(job.id, 2_000).await.unwrap());
+    assert!(fixture.store.delete(job.id).await.unwrap());
+    fixture.store.forget_expired(0).await.unwrap();
+    assert_eq!(found(), 0);
+}
+
+#[tokio::test]
 async fn a_job_reads_back_as_it_was_inserted_also_after_reopening() {
     let fixture = Fixture::new().await;
     let mut job = fixture.insert().await;
