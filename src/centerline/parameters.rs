@@ -33,6 +33,11 @@ impl fmt::Display for Preset {
     }
 }
 
+/// Enough of what was given to find it by.
+fn shown(text: &str) -> String {
+    text.chars().take(40).collect()
+}
+
 impl FromStr for Preset {
     type Err = ParameterError;
 
@@ -40,7 +45,7 @@ impl FromStr for Preset {
         match text {
             "default" => Ok(Preset::Default),
             "paper" => Ok(Preset::Paper),
-            _ => Err(ParameterError::UnknownPreset { found: text.chars().take(40).collect() }),
+            _ => Err(ParameterError::UnknownPreset { found: shown(text) }),
         }
     }
 }
@@ -215,11 +220,7 @@ impl Parameters {
             .position(|spec| spec.name == name)
             .ok_or_else(|| ParameterError::Unknown { name: name.to_owned() })?;
         let spec = &TABLE[index];
-        let bad = || ParameterError::Value {
-            name: spec.name,
-            found: text.chars().take(40).collect(),
-            expected: spec.expected(),
-        };
+        let bad = || ParameterError::Value { name: spec.name, found: shown(text), expected: spec.expected() };
         self.values[index] = match spec.kind {
             ParameterKind::Flag => match text {
                 "true" | "1" => 1.0,
@@ -244,7 +245,7 @@ impl Parameters {
         let whole =
             text.split(',').count() == 3 && numbers.len() == 3 && numbers.iter().all(|x| x.is_finite());
         if !whole {
-            let found = text.chars().take(40).collect();
+            let found = shown(text);
             let expected = "x,y,z: three finite numbers in the mesh's coordinates".to_owned();
             return Err(ParameterError::Value { name, found, expected });
         }

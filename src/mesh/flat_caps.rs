@@ -11,6 +11,7 @@ use rustc_hash::FxHashSet;
 
 use super::TriangleMesh;
 use super::corner_table::{NONE, next, previous};
+use super::openings::rim_centre;
 
 /// Cosine of the most that a triangle of a cap leans against it: a rim need not be plane.
 const FLAT: f64 = 0.978;
@@ -122,12 +123,6 @@ impl<'a> Region<'a> {
         self.mesh.vertices[self.origin(h) as usize]
     }
 
-    /// A triangle's area vector, twice as long as its area.
-    fn area_of(&self, t: u32) -> Vector3<f64> {
-        let [a, b, c] = [3 * t, 3 * t + 1, 3 * t + 2].map(|h| self.at(h));
-        (b - a).cross(&(c - a))
-    }
-
     fn is_sliver(&self, t: u32, area: f64) -> bool {
         let edge = |h: u32| (self.at(next(h)) - self.at(h)).norm_squared();
         area < SLIVER * edge(3 * t).max(edge(3 * t + 1)).max(edge(3 * t + 2))
@@ -143,7 +138,7 @@ impl<'a> Region<'a> {
         if self.owner[seed as usize] != NONE {
             return None;
         }
-        let normal = self.area_of(seed);
+        let normal = self.mesh.area_vector(seed);
         if self.is_sliver(seed, normal.norm()) {
             return None;
         }
@@ -153,7 +148,7 @@ impl<'a> Region<'a> {
         }
         // The seed may lie at the edge, and lean: what was found tells better what is flat.
         let mean = self.area;
-        let along = |t: &u32| self.area_of(*t).dot(&mean);
+        let along = |t: &u32| self.mesh.area_vector(*t).dot(&mean);
         let best = self.triangles.iter().copied().max_by(|a, b| along(a).total_cmp(&along(b)))?;
         let closed = self.flood(best, mean, 2 * seed + 1);
         if !closed || self.fall().abs() < CREASE {
@@ -181,7 +176,7 @@ impl<'a> Region<'a> {
         let (mut at, mut closed) = (0, true);
         while let Some(&t) = self.triangles.get(at) {
             at += 1;
-            self.area += self.area_of(t);
+            self.area += self.mesh.area_vector(t);
             for h in 3 * t..3 * t + 3 {
                 let o = self.opposite[h as usize];
                 closed &= o != NONE;
@@ -189,7 +184,7 @@ impl<'a> Region<'a> {
                     continue;
                 }
                 let other = o / 3;
-                let area = self.area_of(other);
+                let area = self.mesh.area_vector(other);
                 if area.dot(&normal) > FLAT * size * area.norm() || self.is_sliver(other, area.norm()) {
                     self.owner[other as usize] = name;
                     self.triangles.push(other);
@@ -201,14 +196,14 @@ impl<'a> Region<'a> {
 
     /// Gives up the triangles at a rim whose edges are not seen from its middle; whether there were any.
     fn cut_back(&mut self, rim: &[u32]) -> bool {
-        let centre = self.middle(rim);
+        let (centre, _) = self.rim_centre(rim);
         let seen = |h: u32| (self.at(h) - centre).cross(&(self.at(next(h)) - centre)).dot(&self.area) > 0.0;
         let hiding: FxHashSet<u32> = rim.iter().filter(|&&h| !seen(h)).map(|h| h / 3).collect();
         for &t in &hiding {
             self.owner[t as usize] = GIVEN_UP;
         }
         self.triangles.retain(|t| !hiding.contains(t));
-        self.area = self.triangles.iter().map(|&t| self.area_of(t)).sum();
+        self.area = self.triangles.iter().map(|&t| self.mesh.area_vector(t)).sum();
         !hiding.is_empty()
     }
 
@@ -252,43 +247,38 @@ impl<'a> Region<'a> {
         o == NONE
     }
 
-    /// Length of a rim.
-    fn around(&self, rim: &[u32]) -> f64 {
-        rim.iter().map(|&h| (self.at(next(h)) - self.at(h)).norm()).sum()
-    }
-
-    /// The middle of a rim, weighted by its edges' lengths.
-    fn middle(&self, rim: &[u32]) -> Point3<f64> {
-        let (mut sum, mut all) = (Vector3::zeros(), 0.0);
-        for &h in rim {
-            let (p, q) = (self.at(h), self.at(next(h)));
-            let length = (q - p).norm();
-            sum += (p.coords + q.coords) * (0.5 * length);
-            all += length;
-        }
-        Point3::from(sum / all)
+    /// The middle of a rim, and its length.
+    fn rim_centre(&self, rim: &[u32]) -> (Point3<f64>, f64) {
+        let vertices: Vec<u32> = rim.iter().map(|&h| self.origin(h)).collect();
+        rim_centre(self.mesh, &vertices)
     }
 
     /// Whether it closes a cut: round, with an edge around it, and a vessel as wide behind it.
     fn is_cap(&mut self, rim: &[u32]) -> bool {
         let Some(normal) = self.area.try_normalize(0.0) else { return false };
-        let around = self.around(rim);
+        let (centre, around) = self.rim_centre(rim);
         let area = 0.5 * self.area.norm();
         let fall = self.fall();
         if area < ROUND * around * around / (4.0 * PI) || fall.abs() < CREASE {
             return false;
         }
         // The surface may be inside out.
-        self.ends_vessel(rim, if fall < 0.0 { normal } else { -normal }, area)
-    }
-
-    /// Whether what comes right behind it is a vessel as wide: by the sections there, parallel to it.
-    fn ends_vessel(&mut self, rim: &[u32], outward: Vector3<f64>, area: f64) -> bool {
-        let centre = self.middle(rim);
-        let edge = self.around(rim) / rim.len() as f64 / (area / PI).sqrt();
+        let outward = if fall < 0.0 { normal } else { -normal };
+        let edge = around / rim.len() as f64 / (area / PI).sqrt();
         // Fades toward edges that are too long to be those of marching cubes.
         let lacking = edge.min(5.0 * (SHORT - edge)).max(0.0);
-        let most = SECTION.end * (1.0 + lacking).powi(2);
+        self.ends_vessel(rim, (centre, outward), area, SECTION.end * (1.0 + lacking).powi(2))
+    }
+
+    /// Whether what comes right behind it is a vessel as wide: by the sections there, parallel to it, the first at most
+    /// `most` times its area.
+    fn ends_vessel(
+        &mut self,
+        rim: &[u32],
+        (centre, outward): (Point3<f64>, Vector3<f64>),
+        area: f64,
+        most: f64,
+    ) -> bool {
         let mut section = |area: f64, radii: f64| {
             let depth = radii * (area / PI).sqrt();
             self.section_behind(rim, &(centre - outward * depth), &outward, AROUND * area)
@@ -348,7 +338,7 @@ impl<'a> Region<'a> {
                 (arm, arm.dot(normal))
             });
             if corners.iter().all(|corner| corner.1 > 0.0) {
-                before += 0.5 * self.area_of(t).norm();
+                before += 0.5 * self.mesh.area_vector(t).norm();
             }
             if before > most {
                 return None;

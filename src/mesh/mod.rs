@@ -16,7 +16,7 @@ mod snapping;
 mod units;
 mod weld;
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 
 pub use units::{Units, UnknownUnit};
 pub use weld::{Welder, weld};
@@ -29,4 +29,12 @@ pub use weld::{Welder, weld};
 pub struct TriangleMesh {
     pub vertices: Vec<Point3<f64>>,
     pub triangles: Vec<[u32; 3]>,
+}
+
+impl TriangleMesh {
+    /// The direction that a triangle faces, twice as long as its area.
+    pub fn area_vector(&self, triangle: u32) -> Vector3<f64> {
+        let [a, b, c] = self.triangles[triangle as usize].map(|v| self.vertices[v as usize]);
+        (b - a).cross(&(c - a))
+    }
 }

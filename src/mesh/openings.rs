@@ -113,7 +113,7 @@ fn boundary_loop(opposite: &[u32], start: u32) -> Vec<u32> {
 }
 
 /// Centre of the rim, weighted by its edges' lengths, and its length.
-fn rim_centre(mesh: &TriangleMesh, rim: &[u32]) -> (Point3<f64>, f64) {
+pub(super) fn rim_centre(mesh: &TriangleMesh, rim: &[u32]) -> (Point3<f64>, f64) {
     let mut sum = Vector3::zeros();
     let mut length = 0.0;
     for (i, &v) in rim.iter().enumerate() {

@@ -47,12 +47,7 @@ pub fn at_wall(surface: &Surface, track: &mut Track, tip: u32) {
     let spokes: Vec<Vector3<f64>> =
         surface.corners.neighbours(tip).map(|v| surface.mesh.vertices[v as usize] - place).collect();
     let radius = spokes.iter().map(Vector3::norm).sum::<f64>() / spokes.len().max(1) as f64;
-    let normal: Vector3<f64> = surface
-        .corners
-        .star(tip)
-        .map(|h| surface.mesh.triangles[(h / 3) as usize].map(|v| surface.mesh.vertices[v as usize]))
-        .map(|[a, b, c]| (b - a).cross(&(c - a)))
-        .sum();
+    let normal: Vector3<f64> = surface.corners.star(tip).map(|h| surface.mesh.area_vector(h / 3)).sum();
     let inward = -normal.try_normalize(0.0).unwrap_or_else(Vector3::zeros);
     track.bulge = Some(Bulge { centre: place + inward * radius, radius });
     track.stations.clear();

@@ -92,10 +92,7 @@ fn plane_normal(cut: &Section, normal: &Vector3<f64>) -> Option<(Vector2<f64>, f
 /// The normal of a triangle and those that touch it, each weighted with its area, at most the triangle's own: a long
 /// facet beside a small one says nothing of it.
 fn broad_normal(surface: &Surface, t: u32) -> Option<Vector3<f64>> {
-    let area = |t: u32| {
-        let [a, b, c] = surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize]);
-        (b - a).cross(&(c - a))
-    };
+    let area = |t: u32| surface.mesh.area_vector(t);
     let own = area(t).norm();
     let around = surface.mesh.triangles[t as usize].into_iter().flat_map(|v| surface.corners.star(v));
     let areas = around.map(|h| area(h / 3));

@@ -45,8 +45,8 @@ pub fn end_point(grid: &TriangleGrid<'_>, track: &Track, tip: u32) -> EndPoint {
     EndPoint { point: last.point + line.tangent * distance, radius: continued_radius(track, distance) }
 }
 
-/// Where a line ends in an opening, on its plane: beside the centre of the rim, which a jagged cut moves off the axis; at that
-/// centre where the line does not lead there.
+/// Where a line ends in an opening, on its plane: beside the centre of the rim, which a jagged cut moves off the axis;
+/// at that centre where the line does not lead there.
 fn in_opening(line: &CurveEnd, centre: &Point3<f64>, square: Vector3<f64>, radius: f64) -> Point3<f64> {
     /// How far a cut moves the centre, in radii.
     const JAGGED: f64 = 0.25;
@@ -70,13 +70,8 @@ fn in_opening(line: &CurveEnd, centre: &Point3<f64>, square: Vector3<f64>, radiu
 
 /// The direction out of the vessel and square to an opening, unit; zero where the rim encloses nothing.
 fn rim_normal(surface: &Surface, opening: &Opening) -> Vector3<f64> {
-    let at = |v: u32| surface.mesh.vertices[v as usize];
-    let areas = opening.cap.clone().map(|t| surface.mesh.triangles[t as usize].map(at));
-    areas
-        .map(|[a, b, c]| (b - a).cross(&(c - a)))
-        .sum::<Vector3<f64>>()
-        .try_normalize(0.0)
-        .unwrap_or_default()
+    let areas = opening.cap.clone().map(|t| surface.mesh.area_vector(t));
+    areas.sum::<Vector3<f64>>().try_normalize(0.0).unwrap_or_default()
 }
 
 /// Goes on along the middles of the level sets where a line that runs straight on would leave the lumen through

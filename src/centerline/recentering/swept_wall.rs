@@ -95,10 +95,8 @@ fn piece_beside(surface: &Surface, tube: &SweptTube, v: u32, near: usize) -> Opt
 
 /// Unit normal of the wall at a vertex, of its triangles by their area; none at the middle of a cap.
 fn normal(surface: &Surface, v: u32) -> Option<Vector3<f64>> {
-    let star = surface.corners.star(v).filter(|h| !surface.is_cap(h / 3));
-    let corners =
-        star.map(|h| surface.mesh.triangles[(h / 3) as usize].map(|v| surface.mesh.vertices[v as usize]));
-    corners.map(|[a, b, c]| (b - a).cross(&(c - a))).sum::<Vector3<f64>>().try_normalize(0.0)
+    let wall = surface.corners.star(v).map(|h| h / 3).filter(|&t| !surface.is_cap(t));
+    wall.map(|t| surface.mesh.area_vector(t)).sum::<Vector3<f64>>().try_normalize(0.0)
 }
 
 /// What the stations hear of the wall; nothing of a vertex past the tube's ends, on a cap, or far off.

@@ -38,18 +38,13 @@ impl Pruning<'_> {
         let Some(&first) = arcs.last() else { return false };
         let first = &self.graph.arcs[first as usize];
         let radius = first.base_length / TAU;
-        let tip = self.graph.nodes[leaf as usize].vertex;
-        let opening = self.opening_at(leaf);
-        let open = opening.filter(|opening| !opening.was_closed);
+        let open = self.opening_at(leaf).filter(|opening| !opening.was_closed);
         // The vessel was cut here, however shortly; a small opening straight in the wall is a hole.
         if open.is_some_and(|opening| !beside.is_finite() || opening.radius >= HOLE * beside) {
             return true;
         }
         let height = height - self.rise_of_cap(leaf);
-        // The edges of a fan are as long as the cap is wide.
-        let of_cap = self.closed_at(leaf).map(|closed| TAU * closed.radius / closed.rim.len() as f64);
-        let sample = (first.base_length / f64::from(first.base_edges.max(1)))
-            .max(of_cap.unwrap_or_else(|| self.edge_at(tip)));
+        let sample = (first.base_length / f64::from(first.base_edges.max(1))).max(self.edge_at(leaf));
         let least = (tip_height * radius.min(beside)).max(SAMPLES * sample);
         if let Some(met) = self.met_below(base, arcs, radius.min(beside)) {
             return height >= least && self.over_fronts(met, leaf) >= least;
@@ -83,8 +78,13 @@ impl Pruning<'_> {
         self.closed_at(leaf).map_or(0.0, |closed| RISE * closed.radius)
     }
 
-    /// Length of a short edge at a vertex: not the shortest, which noise makes.
-    fn edge_at(&self, vertex: u32) -> f64 {
+    /// Length of a short edge at a node: not the shortest, which noise makes. At a flat cap the mean of its rim's: those
+    /// of a fan are as long as the cap is wide.
+    fn edge_at(&self, node: u32) -> f64 {
+        if let Some(closed) = self.closed_at(node) {
+            return TAU * closed.radius / closed.rim.len() as f64;
+        }
+        let vertex = self.graph.nodes[node as usize].vertex;
         let (mesh, corners) = (&self.surface.mesh, &self.surface.corners);
         let place = mesh.vertices[vertex as usize];
         let lengths = corners.neighbours(vertex).map(|u| (mesh.vertices[u as usize] - place).norm());
