@@ -65,6 +65,11 @@ async fn used() -> tempfile::TempDir {
     for name in ["jobs.sqlite", "audit.jsonl", "lock"] {
         fs::copy(service.data().join(name), data.path().join(name)).unwrap();
     }
+    for file in service.files() {
+        let copy = data.path().join(file.strip_prefix(service.data()).unwrap());
+        fs::create_dir_all(copy.parent().unwrap()).unwrap();
+        fs::copy(file, copy).unwrap();
+    }
     data
 }
 
@@ -154,6 +159,25 @@ async fn a_database_that_cannot_be_used_is_told() {
 async fn keys_and_addresses_that_do_not_fit_are_told() {
     let data = used().await;
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+#[tokio::test]
+async fn results_that_are_missing_or_cut_short_are_told() {
+    let data = used().await;
+    let job = fs::read_dir(data.path().join("blobs")).unwrap().next().unwrap().unwrap().path();
+    let runs = fs::read_dir(&job).unwrap().map(|entry| entry.unwrap().path());
+    let file = runs.filter(|path| path.is_dir()).last().unwrap().join("centerline.glb");
+    let good = fs::read(&file).unwrap();
+    fs::write(&file, &good[..good.len() / 2]).unwrap();
+    let id = job.file_name().unwrap().to_str().unwrap();
+    wrong(
+        &mut doctor(data.path()),
+        &format!("results of 1 jobs are missing or have another length, those of {id}"),
+    );
+    fs::remove_file(&file).unwrap();
+    wrong(&mut doctor(data.path()), "results of 1 jobs");
+    fs::write(&file, &good).unwrap();
+    assert!(asked(&mut doctor(data.path())).0);
+}
+
     let address = taken.local_addr().unwrap().to_string();
     wrong(doctor(data.path()).args(["--listen", &address]), "cannot be listened on");
     wrong(doctor(data.path()).args(["--listen", "nowhere"]), "is no address");

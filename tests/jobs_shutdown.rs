@@ -108,6 +108,10 @@ impl BlobStore for Disk {
         self.inner.open(key, range)
     }
 
+    fn info<'a>(&'a self, key: &'a str) -> BlobFuture<'a, BlobInfo> {
+        self.inner.info(key)
+    }
+
     fn read<'a>(&'a self, key: &'a str) -> BlobFuture<'a, Bytes> {
         if self.broken.load(Ordering::SeqCst) {
             return async { Err(BlobError::Folder(std::io::Error::other("EIO"))) }.boxed();

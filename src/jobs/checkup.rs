@@ -4,8 +4,10 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::Path;
 
-use sqlx::{AnyConnection, Connection};
+use futures::TryStreamExt;
+use sqlx::{AnyConnection, AssertSqlSafe, Connection};
 
+use super::StoredArtifact;
 use super::clock::SILENCE;
 use super::folder::percent_encoded;
 
@@ -142,6 +144,9 @@ async fn examine(file: &Path, now_ms: i64) -> Result<Vec<Finding>, sqlx::Error> 
         .await?;
     let (jobs, newest): (i64, i64) =
         sqlx::query_as("SELECT COUNT(*), COALESCE(MAX(created), 0) FROM jobs").fetch_one(&mut store).await?;
+    let known =
+        sqlx::migrate!("src/jobs/store/migrations").iter().map(|each| each.version).max().unwrap_or(0);
+    let results = if version == known { results(&mut store, file).await? } else { None };
     store.close().await?;
     // One line, whatever it lists.
     let integrity = integrity.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -154,8 +159,7 @@ async fn examine(file: &Path, now_ms: i64) -> Result<Vec<Finding>, sqlx::Error> 
             "stop the service and put a copy back that was made while it was stopped",
         )
     });
-    let known =
-        sqlx::migrate!("src/jobs/store/migrations").iter().map(|each| each.version).max().unwrap_or(0);
+    found.extend(results);
     found.push(match version.cmp(&known) {
         std::cmp::Ordering::Equal => Finding::Well(format!("the job database has this version's form, {known}")),
         std::cmp::Ordering::Less => Finding::Note(format!(
@@ -182,6 +186,43 @@ async fn examine(file: &Path, now_ms: i64) -> Result<Vec<Finding>, sqlx::Error> 
         )));
     }
     Ok(found)
+}
+
+/// Whether every result's file is there with its length; what is in them is looked at when they are asked for.
+async fn results(store: &mut AnyConnection, database: &Path) -> Result<Option<Finding>, sqlx::Error> {
+    const KEPT: &str = "status = 'successful' AND purging IS NULL";
+    let blobs = database.with_file_name("blobs");
+    let sql = format!("SELECT id, artifacts FROM jobs WHERE {KEPT}");
+    let mut damaged = Vec::new();
+    // Safe: the text has no part of a client's.
+    let mut rows = sqlx::query_as::<_, (String, String)>(AssertSqlSafe(sql)).fetch(&mut *store);
+    while let Some((id, artifacts)) = rows.try_next().await? {
+        let artifacts: Vec<StoredArtifact> = serde_json::from_str(&artifacts).unwrap_or_default();
+        let is_whole = |artifact: &StoredArtifact| {
+            fs::metadata(blobs.join(&artifact.key)).is_ok_and(|file| file.len() == artifact.size)
+        };
+        if artifacts.is_empty() || !artifacts.iter().all(is_whole) {
+            damaged.push(id);
+        }
+    }
+    drop(rows);
+    // A service may have purged some meanwhile.
+    let mut first = None;
+    let mut count = 0;
+    for id in damaged {
+        let sql = format!("SELECT COUNT(*) FROM jobs WHERE id = $1 AND {KEPT}");
+        let still: i64 = sqlx::query_scalar(AssertSqlSafe(sql)).bind(&id).fetch_one(&mut *store).await?;
+        if still > 0 {
+            count += 1;
+            first.get_or_insert(id);
+        }
+    }
+    Ok(first.map(|id| {
+        Finding::wrong(
+            format!("results of {count} jobs are missing or have another length, those of {id} first"),
+            "put copies of their files back, or delete these jobs and have their meshes posted again",
+        )
+    }))
 }
 
 /// Bytes that are free for this user on the disk of `path`, or of the folder that it would be made in.

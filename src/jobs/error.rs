@@ -26,6 +26,11 @@ pub enum JobError {
     Purging { id: JobId },
     #[error("job {id} has no result as {}", format.extension())]
     NoSuchResult { id: JobId, format: OutputFormat },
+    #[error(
+        "the result {key} is not what was stored: it has {found} bytes, and had {stored}; put a copy of the file back, or \
+         delete its job and post the mesh again"
+    )]
+    ResultDamaged { key: String, stored: u64, found: u64 },
     #[error("the service is shutting down; try again when it is back")]
     ShuttingDown,
     #[error(transparent)]

@@ -7,6 +7,8 @@ use futures::StreamExt;
 use futures::future::join_all;
 
 use super::backoff::Backoff;
+#[cfg(doc)]
+use super::blob::BlobError;
 use super::blob::BlobReader;
 use super::coding::LEAST;
 use super::live::Entry;
@@ -203,7 +205,19 @@ impl JobService {
         }
     }
 
-    /// The bytes of a result, or of a range within it.
+    /// Whether a result's file still has the bytes that were stored: its `ETag` promises them.
+    ///
+    /// # Errors
+    /// [`JobError::ResultDamaged`] where it was cut short or changed, [`BlobError::NotFound`] where it is gone.
+    pub async fn check_result(&self, artifact: &StoredArtifact) -> Result<(), JobError> {
+        let found = self.shared.blobs.info(&artifact.key).await?;
+        if (found.size, &found.sha256) == (artifact.size, &artifact.sha256) {
+            return Ok(());
+        }
+        Err(JobError::ResultDamaged { key: artifact.key.clone(), stored: artifact.size, found: found.size })
+    }
+
+    /// The bytes of a result, or of a range within it; [`JobService::check_result`] says whether they are its own.
     pub async fn open_result(
         &self,
         artifact: &StoredArtifact,

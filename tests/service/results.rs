@@ -227,3 +227,31 @@ async fn every_path_answers_options_and_what_can_be_got_answers_head() {
         }
     }
 }
+
+/// A file that was cut short or changed on the disk is no result, in no form of the question.
+#[tokio::test]
+async fn a_result_that_is_not_what_was_stored_is_never_served() {
+    let (service, result) = finished().await;
+    let is_glb = |path: &std::path::PathBuf| path.extension().is_some_and(|extension| extension == "glb");
+    let file = service.files().into_iter().find(is_glb).unwrap();
+    let good = std::fs::read(&file).unwrap();
+    let mut changed = good.clone();
+    changed[good.len() / 2] ^= 1;
+    for bad in [&good[..good.len() / 2], &good[..0], &changed, &[&good[..], b"x"].concat()] {
+        std::fs::write(&file, bad).unwrap();
+        let path = format!("{result}.glb");
+        for range in ["bytes=0-", "bytes=0-9", "bytes=-9", "none"] {
+            let response = service.get(&path).header("range", range).send().await.unwrap();
+            problem(response, 500, "internal-error").await;
+        }
+        let response = service.get(&result).header("accept", "model/gltf-binary").send().await.unwrap();
+        problem(response, 500, "internal-error").await;
+        assert_eq!(service.client.head(format!("{}{path}", service.url)).send().await.unwrap().status(), 500);
+        assert_eq!(service.get(&result).send().await.unwrap().status(), 200, "the JSON is whole");
+    }
+    assert!(service.log().contains("is not what was stored"), "{}", service.log());
+    std::fs::write(&file, &good).unwrap();
+    assert_eq!(service.get(&format!("{result}.glb")).send().await.unwrap().bytes().await.unwrap(), good);
+    std::fs::remove_file(&file).unwrap();
+    problem(service.get(&format!("{result}.glb")).send().await.unwrap(), 500, "internal-error").await;
+}

@@ -108,13 +108,14 @@ async fn answer(app: &App, id: JobId, format: OutputFormat, asked: &Asked) -> Re
     let headers = &asked.headers;
     let mut response = if etag.is_known_to(headers) {
         StatusCode::NOT_MODIFIED.into_response()
-    } else if asked.method == Method::HEAD {
-        described(StatusCode::OK, &artifact, artifact.size, Body::empty())
     } else {
-        match asked_part(headers, &etag, artifact.size) {
-            range::Asked::Whole => whole(app, id, &artifact).await?,
-            range::Asked::Part(part) => partial(app, id, &artifact, part).await?,
-            range::Asked::Unsatisfiable => return Err(unsatisfiable(id, artifact.size)),
+        present(app, id, app.jobs().check_result(&artifact).await).await?;
+        let part = asked_part(headers, &etag, artifact.size);
+        match (&asked.method, part) {
+            (&Method::HEAD, _) => described(StatusCode::OK, &artifact, artifact.size, Body::empty()),
+            (_, range::Asked::Whole) => whole(app, id, &artifact).await?,
+            (_, range::Asked::Part(part)) => partial(app, id, &artifact, part).await?,
+            (_, range::Asked::Unsatisfiable) => return Err(unsatisfiable(id, artifact.size)),
         }
     };
     response.headers_mut().insert(header::CACHE_CONTROL, CACHE_CONTROL);
@@ -137,15 +138,19 @@ async fn open(
     app: &App,
     id: JobId,
     artifact: &StoredArtifact,
-    part: Option<Range<u64>>,
-) -> Result<BlobReader, Problem> {
-    match app.jobs().open_result(artifact, part).await {
+async fn present<T>(app: &App, id: JobId, found: Result<T, JobError>) -> Result<T, Problem> {
+    match found {
         Err(error @ JobError::Blob(BlobError::NotFound { .. })) => {
             app.jobs().status(id).await?;
             Err(error.into())
         }
-        opened => Ok(opened?),
+        found => Ok(found?),
     }
+}
+
+    part: Option<Range<u64>>,
+) -> Result<BlobReader, Problem> {
+    present(app, id, app.jobs().open_result(artifact, part).await).await
 }
 
 async fn whole(app: &App, id: JobId, artifact: &StoredArtifact) -> Result<Response, Problem> {

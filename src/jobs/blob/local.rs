@@ -1,7 +1,7 @@
 //! Blobs as local files, through object_store's file system backend with fsync on.
 
 use std::fs;
-use std::io;
+use std::io::{self, Read};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -84,6 +84,25 @@ fn classified(key: &str, error: object_store::Error) -> BlobError {
         cause = inner.source();
     }
     BlobError::Storage(error)
+}
+
+/// Reads a file through, a piece at a time.
+fn looked_at(path: &Path) -> io::Result<BlobInfo> {
+    let (mut file, mut hash) = (fs::File::open(path)?, Sha256::new());
+    let (mut piece, mut size) = (vec![0; SMALL], 0);
+    loop {
+        match file.read(&mut piece)? {
+            0 => return Ok(BlobInfo { size, sha256: hex(hash) }),
+            bytes => {
+                hash.update(&piece[..bytes]);
+                size += bytes as u64;
+            }
+        }
+    }
+}
+
+fn hex(hash: Sha256) -> String {
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Passes a point.
@@ -180,8 +199,7 @@ impl BlobStore for LocalBlobs {
                 self.files.delete(&Key::from(key)).await.ok();
                 return Err(error);
             }
-            let sha256 = writer.hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-            Ok(BlobInfo { size: writer.size, sha256 })
+            Ok(BlobInfo { size: writer.size, sha256: hex(writer.hash) })
         }
         .boxed()
     }
@@ -193,6 +211,22 @@ impl BlobStore for LocalBlobs {
             let got = got.map_err(|error| classified(key, error))?;
             let (size, range) = (got.meta.size, got.range.clone());
             Ok(BlobReader { size, range, stream: got.into_stream().map_err(io::Error::other).boxed() })
+        }
+        .boxed()
+    }
+
+    fn info<'a>(&'a self, key: &'a str) -> BlobFuture<'a, BlobInfo> {
+        async move {
+            let path =
+                self.files.path_to_filesystem(&Key::from(key)).map_err(|error| classified(key, error))?;
+            let looked = tokio::task::spawn_blocking(move || looked_at(&path)).await;
+            match looked.unwrap_or_else(|error| Err(io::Error::other(error))) {
+                Ok(info) => Ok(info),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                    Err(BlobError::NotFound { key: key.to_owned() })
+                }
+                Err(error) => Err(BlobError::Folder(error)),
+            }
         }
         .boxed()
     }

@@ -66,6 +66,9 @@ pub trait BlobStore: Send + Sync + 'static {
     /// Opens a blob; `range` must lie within it.
     fn open<'a>(&'a self, key: &'a str, range: Option<Range<u64>>) -> BlobFuture<'a, BlobReader>;
 
+    /// Size and SHA-256 of the bytes that are there now.
+    fn info<'a>(&'a self, key: &'a str) -> BlobFuture<'a, BlobInfo>;
+
     /// A whole blob in memory.
     fn read<'a>(&'a self, key: &'a str) -> BlobFuture<'a, Bytes>;
 
