@@ -8,6 +8,7 @@ mod ring;
 
 use std::panic::{AssertUnwindSafe, resume_unwind};
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, Method, StatusCode, header};
@@ -30,7 +31,7 @@ pub use keys::{Key, KeyError, KeyFile, Scope};
 pub use ring::KeyRing;
 
 /// Who sent a request.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Caller {
     /// There is no authentication: whoever reaches the service.
     Anyone,
@@ -77,6 +78,26 @@ impl Caller {
     /// Whether this caller may see a job of `owner`.
     pub fn may_see(&self, owner: Option<&str>) -> bool {
         self.bound_to().is_none_or(|name| owner == Some(name))
+    }
+}
+
+/// Seconds after which to try again where the keys cannot be read.
+const RETRY_AFTER: u32 = 10;
+
+/// How often it is looked at whether a request that waits would still be let in.
+const LOOK: Duration = Duration::from_secs(2);
+
+/// Ready once a request that waits for news would no longer be let in, with what it is told then: its key was revoked
+/// or exchanged, or its token has run out.
+pub(super) async fn shut_out(app: &App, caller: &Caller, headers: &HeaderMap) -> Problem {
+    let Some(gate) = app.gate() else { return std::future::pending().await };
+    loop {
+        tokio::time::sleep(LOOK).await;
+        match gate.caller(bearer(headers)).await {
+            Ok(now) if now == *caller => {}
+            Ok(_) => return unauthenticated(&Unknown::Key),
+            Err(reason) => return unauthenticated(&reason),
+        }
     }
 }
 

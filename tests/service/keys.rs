@@ -2,6 +2,7 @@
 
 use std::process::{Command, Output};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use reqwest::{Method, RequestBuilder, Response};
 use serde_json::Value;
@@ -171,5 +172,42 @@ async fn keys_have_scopes_and_change_while_the_service_runs() {
     assert!(list.lines().any(|line| line.starts_with("writer  ") && line.contains("revoked 20")), "{list}");
     for wrong in [vec!["add", "reader", "--scope", "read"], vec!["rotate", "writer"], vec!["add", "x"]] {
         assert_eq!(keys(&data, &wrong).status.code(), Some(1), "{wrong:?}");
+    }
+}
+
+/// Who waits for news of a job waits no longer than its key is valid.
+#[tokio::test]
+async fn streams_and_waits_end_soon_after_their_key() {
+    let data = Arc::new(tempfile::tempdir().unwrap());
+    let key = made(&data, &["add", "pacs", "--scope", "submit,read"]);
+    let other = made(&data, &["add", "other", "--scope", "admin"]);
+    let service = Service::start_on(data.clone(), &["--workers", "1"]);
+    // Two that take longer than this test, and change often.
+    let slow = || meshes::stl(&meshes::tube(600, 120));
+    let mut jobs = Vec::new();
+    for _ in 0..2 {
+        let request = with(service.post("/v1/jobs?smoothing=true&preset=paper"), &key).body(slow());
+        jobs.push(request.send().await.unwrap().headers()["location"].to_str().unwrap().to_owned());
+    }
+    let stream = |job: &str, key: &str| with(service.get(&format!("{job}/events")), key).send();
+    let (running, waiting) = (stream(&jobs[0], &key).await.unwrap(), stream(&jobs[1], &key).await.unwrap());
+    let admins = stream(&jobs[1], &other).await.unwrap();
+    let wait = with(service.get(&jobs[1]), &key).header("prefer", "wait=60").send();
+    let post = with(service.post("/v1/jobs"), &key).header("prefer", "wait=60").body(meshes::small()).send();
+    let revoked = async {
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        assert!(keys(&data, &["revoke", "pacs"]).status.success());
+        Instant::now()
+    };
+    let (wait, post, revoked) = tokio::join!(wait, post, revoked);
+    assert!(running.text().await.unwrap().contains("event: status"));
+    assert!(waiting.text().await.unwrap().contains("event: status"));
+    problem(wait.unwrap(), 401, "unauthenticated").await;
+    assert_eq!(post.unwrap().status(), 201, "it was accepted");
+    assert!(revoked.elapsed() < Duration::from_secs(10), "{:?}", revoked.elapsed());
+    let still = tokio::time::timeout(Duration::from_secs(5), admins.text()).await;
+    assert!(still.is_err(), "another's key is as valid as before");
+    for job in jobs {
+        with(service.delete(&job), &other).send().await.unwrap();
     }
 }

@@ -7,8 +7,10 @@ use axum::extract::State;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
-use futures::stream;
+use futures::future::BoxFuture;
+use futures::{FutureExt, stream};
 
+use super::super::access::{self, Caller};
 use super::super::document::{self, JobProblems};
 use super::super::{App, Problem};
 use super::status::represent;
@@ -24,8 +26,8 @@ const WAIT: Duration = Duration::from_secs(60);
 
 /// A job's changes as they come
 ///
-/// Server-sent events (WHATWG HTML): the job's status at once, then after each change, until it has ended. Each
-/// event is `status` with the whole status as its data, so that one that was missed is made up for by the next.
+/// Server-sent events (WHATWG HTML): the job's status at once, then after each change, until it has ended, or the key or
+/// token of the request is no longer valid. Each event is `status` with the whole status as its data, so that one that was missed is made up for by the next.
 /// A client that comes back with the `Last-Event-ID` of the present status is told nothing twice; where the job has
 /// ended, it gets a 204, which ends an `EventSource`.
 #[utoipa::path(
@@ -36,13 +38,22 @@ const WAIT: Duration = Duration::from_secs(60);
     params(document::JobPath, document::LastEventHeader),
     responses(document::Events, JobProblems)
 )]
-pub async fn events(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<Response, Problem> {
+pub async fn events(
+    State(app): State<App>,
+    Id(id): Id,
+    caller: Caller,
+    asked: Asked,
+) -> Result<Response, Problem> {
     let job = app.jobs().status(id).await?;
     let told = asked.headers.get(LAST_EVENT_ID).and_then(|value| value.to_str().ok()).map(str::to_owned);
     if !job.status.is_active() && told.as_ref() == Some(&event_id(&job)) {
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
-    let follower = Follower { app, told, step: Step::Tell(Box::new(job)) };
+    let expelled = {
+        let (app, headers) = (app.clone(), asked.headers);
+        async move { drop(access::shut_out(&app, &caller, &headers).await) }.boxed()
+    };
+    let follower = Follower { app, expelled, told, step: Step::Tell(Box::new(job)) };
     let events = stream::unfold(follower, |follower| follower.next());
     let mut response = Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response();
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
@@ -52,6 +63,8 @@ pub async fn events(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<
 /// One client that follows one job.
 struct Follower {
     app: App,
+    /// Ready when its key or token is no longer valid. One for all waits: changes that come fast do not put it off.
+    expelled: BoxFuture<'static, ()>,
     /// The id of the event that it got last.
     told: Option<String>,
     step: Step,
@@ -83,6 +96,8 @@ impl Follower {
                 Step::Wait(job) => tokio::select! {
                     biased;
                     () = self.app.closing().cancelled() => Step::End,
+                    // It may come back, and is told why not then.
+                    () = &mut self.expelled => Step::End,
                     // A job that was purged has no further changes.
                     next = self.app.jobs().wait_change(&job, WAIT) => {
                         next.map_or(Step::End, |next| Step::Tell(Box::new(next)))

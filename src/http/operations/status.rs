@@ -7,6 +7,7 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use sha2::{Digest, Sha256};
 
+use super::super::access::{self, Caller};
 use super::super::document::{self, JobProblems};
 use super::super::etag::ETag;
 use super::super::representation::StatusDocument;
@@ -29,7 +30,12 @@ pub(super) const RETRY_AFTER: HeaderValue = HeaderValue::from_static("1");
     params(document::JobPath, document::IfNoneMatchHeader, document::ChangeHeader),
     responses(document::Status, JobProblems)
 )]
-pub async fn status(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<Response, Problem> {
+pub async fn status(
+    State(app): State<App>,
+    Id(id): Id,
+    caller: Caller,
+    asked: Asked,
+) -> Result<Response, Problem> {
     let wait = prefer::wait(&asked.headers, app.limits().wait);
     let mut job = app.jobs().status(id).await?;
     let (mut body, mut etag) = represent(&job);
@@ -37,7 +43,10 @@ pub async fn status(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<
     if let Some(limit) = wait
         && !is_news
     {
-        job = changed(&app, job, limit).await?;
+        job = tokio::select! {
+            changed = changed(&app, job, limit) => changed?,
+            refusal = access::shut_out(&app, &caller, &asked.headers) => return Err(refusal),
+        };
         (body, etag) = represent(&job);
     }
     let mut response = if etag.is_known_to(&asked.headers) {

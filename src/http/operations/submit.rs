@@ -8,7 +8,8 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use tokio::sync::OwnedSemaphorePermit;
 
-use super::super::access::{Caller, Left};
+use super::super::access::{self, Caller, Left};
+use super::super::admission::{self, Place};
 use super::super::document::{self, SubmitProblems};
 use super::super::idempotency::{self, Claim};
 use super::super::representation::{StatusDocument, job_path};
@@ -46,6 +47,7 @@ pub async fn submit(State(app): State<App>, caller: Caller, request: Request) ->
     admission::room(&app, &caller).await?;
     let place = admission::place(&app)?;
     let span = request.extensions().get::<Span>().cloned().unwrap_or_default();
+    let headers = request.headers().clone();
     let left = request.extensions().get::<Left>().cloned();
     let receiving = span.child("receive");
     let mut received = upload::receive(&app, request).await?;
@@ -59,7 +61,11 @@ pub async fn submit(State(app): State<App>, caller: Caller, request: Request) ->
     drop(span);
     drop(claim);
     let job = match wait {
-        Some(limit) => until_ended(&app, job, limit, left).await,
+        Some(limit) => tokio::select! {
+            ended = until_ended(&app, &job, limit, left) => ended.unwrap_or(job),
+            // The job was accepted while the key was valid; how it goes on is no longer told.
+            _ = access::shut_out(&app, &caller, &headers) => job,
+        },
         None => job,
     };
     Ok(created(&job, wait))
@@ -132,10 +138,11 @@ fn request_id(headers: &HeaderMap, most: usize) -> Option<String> {
     fits.then(|| text.to_owned())
 }
 
-/// The job once it has ended, after `limit`, when nobody waits for it, or when the service shuts down, whichever is first.
+/// The job once it has ended, after `limit`, when nobody waits for it, or when the service shuts down, whichever is first;
+/// `None` where no more is known of it.
 ///
 /// The job is accepted by now, so nothing that fails here may turn the answer into an error.
-async fn until_ended(app: &App, job: Job, limit: Duration, left: Option<Left>) -> Job {
+async fn until_ended(app: &App, job: &Job, limit: Duration, left: Option<Left>) -> Option<Job> {
     let is_left = async {
         match &left {
             Some(Left(left)) => left.cancelled().await,
@@ -143,9 +150,9 @@ async fn until_ended(app: &App, job: Job, limit: Duration, left: Option<Left>) -
         }
     };
     tokio::select! {
-        ended = app.jobs().wait(job.id, limit) => ended.unwrap_or(job),
-        () = is_left => job,
-        () = app.closing().cancelled() => app.jobs().status(job.id).await.unwrap_or(job),
+        ended = app.jobs().wait(job.id, limit) => ended.ok(),
+        () = is_left => None,
+        () = app.closing().cancelled() => app.jobs().status(job.id).await.ok(),
     }
 }
 
