@@ -30,12 +30,15 @@ enum Command {
         /// What it may do: submit (make, cancel, purge jobs), read, admin (all, everybody's jobs).
         #[arg(long, value_delimiter = ',', required = true, value_name = "SCOPES")]
         scope: Vec<Scope>,
+        /// Also for the name of a revoked key: the new one has the jobs of that name.
+        #[arg(long)]
+        inherit: bool,
     },
     /// List the keys, without their secrets.
     List,
     /// Give a name a new key, print it, and end the old one.
     Rotate { name: String },
-    /// End a key.
+    /// End a key; its jobs stay.
     Revoke { name: String },
 }
 
@@ -51,7 +54,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let file = KeyFile::new(path);
     let mut out = std::io::stdout();
     match args.command {
-        Command::Add { name, scope } => writeln!(out, "{}", file.add(&name, &scope)?)?,
+        Command::Add { name, scope, inherit } => writeln!(out, "{}", file.add(&name, &scope, inherit)?)?,
         Command::Rotate { name } => writeln!(out, "{}", file.rotate(&name)?)?,
         Command::Revoke { name } => file.revoke(&name)?,
         Command::List => {

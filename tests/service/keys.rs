@@ -211,3 +211,32 @@ async fn streams_and_waits_end_soon_after_their_key() {
         with(service.delete(&job), &other).send().await.unwrap();
     }
 }
+
+/// Each refusal names a way that works.
+#[tokio::test]
+async fn a_revoked_name_is_no_dead_end_and_its_jobs_are_handed_on_only_when_that_is_said() {
+    let data = Arc::new(tempfile::tempdir().unwrap());
+    let old = made(&data, &["add", "pacs", "--scope", "submit,read"]);
+    let service = Service::start_on(data.clone(), &[]);
+    let mine = job(&service, &old, "").await;
+    let said = |arguments: &[&str]| {
+        let output = keys(&data, arguments);
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}");
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let taken = said(&["add", "pacs", "--scope", "read"]);
+    assert!(taken.contains("keys rotate pacs"), "{taken}");
+    assert!(keys(&data, &["revoke", "pacs"]).status.success());
+    for arguments in [vec!["add", "pacs", "--scope", "read"], vec!["rotate", "pacs"], vec!["revoke", "pacs"]]
+    {
+        let line = said(&arguments);
+        assert!(line.contains("was revoked") && line.contains("jobs still belong to that name"), "{line}");
+        assert!(line.contains("keys add pacs --inherit") && !line.contains("rotate"), "{line}");
+    }
+    let heir = made(&data, &["add", "pacs", "--inherit", "--scope", "read"]);
+    assert_eq!(with(service.get(&mine), &heir).send().await.unwrap().status(), 200);
+    problem(with(service.get(&mine), &old).send().await.unwrap(), 401, "unauthenticated").await;
+    let list = made(&data, &["list"]);
+    assert_eq!(list.lines().filter(|line| line.starts_with("pacs  ")).count(), 2, "{list}");
+    assert!(made(&data, &["rotate", "pacs"]).starts_with("rosaline_"));
+}

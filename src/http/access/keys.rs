@@ -30,9 +30,16 @@ pub enum KeyError {
     Damaged { path: String, detail: String },
     #[error("a name has 1 to {NAME_CHARS} letters, digits, '.', '_' and '-'")]
     Name,
-    #[error("there is a key '{0}' already, maybe a revoked one; choose another name, or rotate that one")]
+    #[error(
+        "there is a key '{0}' already; 'rosaline keys rotate {0}' gives it a new secret, or choose another name"
+    )]
     Taken(String),
-    #[error("there is no key '{0}' that is not revoked; 'rosaline keys list' shows what there is")]
+    #[error(
+        "the key '{0}' was revoked, and its jobs still belong to that name; 'rosaline keys add {0} --inherit' with its \
+         scopes makes a new key that has them, or choose another name"
+    )]
+    Revoked(String),
+    #[error("there is no key '{0}'; 'rosaline keys list' shows what there is")]
     Unknown(String),
     #[error("the system gives no random numbers: {0}")]
     Random(getrandom::Error),
@@ -109,18 +116,21 @@ impl KeyFile {
         Ok(read(&self.path)?.unwrap_or_default())
     }
 
-    /// Makes a key; its text, which is kept nowhere.
+    /// Makes a key; its text, which is kept nowhere. With `inherits` also for the name of a revoked one, whose jobs are
+    /// the new one's then; the revoked one stays listed.
     ///
     /// # Errors
-    /// [`KeyError::Taken`] also for a revoked key's name, which its jobs still belong to.
-    pub fn add(&self, name: &str, scopes: &[Scope]) -> Result<String, KeyError> {
+    /// [`KeyError::Revoked`] for a revoked key's name where nobody said that its jobs may be handed on.
+    pub fn add(&self, name: &str, scopes: &[Scope], inherits: bool) -> Result<String, KeyError> {
         let fits = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
         if !(1..=NAME_CHARS).contains(&name.len()) || !name.bytes().all(fits) {
             return Err(KeyError::Name);
         }
         self.change(|keys| {
-            if keys.iter().any(|key| key.name == name) {
-                return Err(KeyError::Taken(name.to_owned()));
+            match in_force(keys, name) {
+                Ok(_) => return Err(KeyError::Taken(name.to_owned())),
+                Err(error @ KeyError::Revoked(_)) if !inherits => return Err(error),
+                Err(_) => {}
             }
             let (text, key) = fresh(name, scopes)?;
             keys.push(key);
@@ -131,8 +141,7 @@ impl KeyFile {
     /// Gives a principal a new key in place of its old one, which ends at once; the new one's text.
     pub fn rotate(&self, name: &str) -> Result<String, KeyError> {
         self.change(|keys| {
-            let found = keys.iter_mut().find(|key| key.name == name && key.revoked.is_none());
-            let key = found.ok_or_else(|| KeyError::Unknown(name.to_owned()))?;
+            let key = in_force(keys, name)?;
             let (text, new) = fresh(name, &key.scopes)?;
             *key = new;
             Ok(text)
@@ -142,9 +151,7 @@ impl KeyFile {
     /// Ends a key at once.
     pub fn revoke(&self, name: &str) -> Result<(), KeyError> {
         self.change(|keys| {
-            let found = keys.iter_mut().find(|key| key.name == name && key.revoked.is_none());
-            let key = found.ok_or_else(|| KeyError::Unknown(name.to_owned()))?;
-            key.revoked = Some(now());
+            in_force(keys, name)?.revoked = Some(now());
             Ok(())
         })
     }
@@ -162,6 +169,15 @@ impl KeyFile {
 
 /// The keys in the file; `None` where there is none.
 pub(super) fn read(path: &Path) -> Result<Option<Vec<Key>>, KeyError> {
+/// The key of this name that is not revoked: there is one at most.
+fn in_force<'k>(keys: &'k mut [Key], name: &str) -> Result<&'k mut Key, KeyError> {
+    let was_there = keys.iter().any(|key| key.name == name);
+    let found = keys.iter_mut().find(|key| key.name == name && key.revoked.is_none());
+    found.ok_or_else(|| {
+        if was_there { KeyError::Revoked(name.to_owned()) } else { KeyError::Unknown(name.to_owned()) }
+    })
+}
+
     let text = match fs::read(path) {
         Ok(text) => text,
         Err(error) if is_absent(&error) => return Ok(None),
@@ -220,22 +236,33 @@ mod tests {
         let path = dir.path().join("keys.json");
         let file = KeyFile::new(&path);
         assert!(file.list().unwrap().is_empty());
-        let first = file.add("pacs", &[Scope::Submit, Scope::Read]).unwrap();
-        let other = file.add("viewer", &[Scope::Read]).unwrap();
+        let first = file.add("pacs", &[Scope::Submit, Scope::Read], false).unwrap();
+        let other = file.add("viewer", &[Scope::Read], false).unwrap();
         assert!(first != other && first.len() == PREFIX.len() + 12 + 1 + 64, "{first}");
-        assert!(matches!(file.add("pacs", &[Scope::Read]), Err(KeyError::Taken(_))));
+        assert!(matches!(file.add("pacs", &[Scope::Read], false), Err(KeyError::Taken(_))));
         for name in ["", "a b", "a/b", "ä", &"x".repeat(65)] {
-            assert!(matches!(file.add(name, &[Scope::Read]), Err(KeyError::Name)), "{name}");
+            assert!(matches!(file.add(name, &[Scope::Read], false), Err(KeyError::Name)), "{name}");
         }
         let second = file.rotate("pacs").unwrap();
         let keys = file.list().unwrap();
         assert_eq!((keys.len(), &keys[0].sha256), (2, &hash(&second)));
         assert_eq!(keys[0].scopes, [Scope::Submit, Scope::Read]);
         file.revoke("viewer").unwrap();
-        assert!(matches!(file.revoke("viewer"), Err(KeyError::Unknown(_))));
-        assert!(matches!(file.add("viewer", &[Scope::Read]), Err(KeyError::Taken(_))));
+        assert!(matches!(file.revoke("viewer"), Err(KeyError::Revoked(_))));
+        assert!(matches!(file.rotate("viewer"), Err(KeyError::Revoked(_))));
+        assert!(matches!(file.rotate("nobody"), Err(KeyError::Unknown(_))));
+        assert!(matches!(file.add("viewer", &[Scope::Read], false), Err(KeyError::Revoked(_))));
+        assert!(matches!(file.add("pacs", &[Scope::Read], true), Err(KeyError::Taken(_))));
+        let heir = file.add("viewer", &[Scope::Submit], true).unwrap();
+        let keys = file.list().unwrap();
+        assert_eq!(
+            (keys.len(), &keys[2].sha256, &keys[2].scopes[..]),
+            (3, &hash(&heir), &[Scope::Submit][..])
+        );
+        assert!(keys[1].revoked.is_some() && keys[2].revoked.is_none());
+        assert!(matches!(file.add("viewer", &[Scope::Read], true), Err(KeyError::Taken(_))));
         let text = fs::read_to_string(&path).unwrap();
-        for secret in [&first, &second, &other] {
+        for secret in [&first, &second, &other, &heir] {
             assert!(!text.contains(secret.rsplit('_').next().unwrap()));
         }
         #[cfg(unix)]
