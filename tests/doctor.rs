@@ -122,8 +122,12 @@ async fn a_folder_that_cannot_be_used_is_told() {
     disk.fill();
     wrong(&mut doctor(disk.path()), "cannot be written");
     disk.free();
-    assert!(asked(doctor(disk.path()).args(["--max-upload", "1MiB"])).0);
-    wrong(&mut doctor(disk.path()), "GiB are free on the data folder's disk and one mesh may have 1.0");
+    assert!(asked(doctor(disk.path()).args(["--max-upload", "1MiB", "--min-free", "1MiB"])).0);
+    wrong(doctor(disk.path()).args(["--max-upload", "1MiB"]), "--min-free is 64");
+    wrong(
+        doctor(disk.path()).args(["--min-free", "1MiB"]),
+        "GiB are free on the data folder's disk and one mesh may have 1.0",
+    );
 }
 
 #[tokio::test]
@@ -156,10 +160,6 @@ async fn a_database_that_cannot_be_used_is_told() {
 }
 
 #[tokio::test]
-async fn keys_and_addresses_that_do_not_fit_are_told() {
-    let data = used().await;
-    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
-#[tokio::test]
 async fn results_that_are_missing_or_cut_short_are_told() {
     let data = used().await;
     let job = fs::read_dir(data.path().join("blobs")).unwrap().next().unwrap().unwrap().path();
@@ -178,6 +178,10 @@ async fn results_that_are_missing_or_cut_short_are_told() {
     assert!(asked(&mut doctor(data.path())).0);
 }
 
+#[tokio::test]
+async fn keys_and_addresses_that_do_not_fit_are_told() {
+    let data = used().await;
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap().to_string();
     wrong(doctor(data.path()).args(["--listen", &address]), "cannot be listened on");
     wrong(doctor(data.path()).args(["--listen", "nowhere"]), "is no address");

@@ -68,7 +68,16 @@ fn room(args: &serve::Args) -> Finding {
         Err(error) => return Finding::Note(format!("how much space is free is not known: {error}")),
     };
     let (largest, most) = (args.max_upload.0, args.max_uploads.get() as u64);
+    let least = args.min_free.0;
     match free / largest {
+        _ if free < least => Finding::wrong(
+            format!(
+                "{} MiB are free on the data folder's disk and --min-free is {}",
+                free >> 20,
+                least >> 20
+            ),
+            "free space: the service says that it is not ready",
+        ),
         0 => Finding::wrong(
             format!(
                 "{:.1} GiB are free on the data folder's disk and one mesh may have {:.1}",

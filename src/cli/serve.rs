@@ -90,9 +90,10 @@ async fn serve(args: Args, spans: Spans) -> Result<(), Failure> {
             path.display()
         ))
     })?;
-    webhooks::start(webhook_settings(&args), &jobs).await?;
+    let webhooks = webhook_settings(&args);
+    webhooks::start(webhooks.clone(), &jobs).await?;
     let is_plain = tls.is_none();
-    let app = App::new(jobs, limits, Some(gate), Some(trail), tls)?;
+    let app = App::new(jobs, limits, Some(gate), Some(trail), tls, Some(webhooks))?;
     // For people and for scripts that asked for port 0; a closed stdout leaves nobody to tell.
     let scheme = if is_plain { "http" } else { "https" };
     let _ = writeln!(std::io::stdout(), "listening on {scheme}://{address}");
@@ -165,6 +166,7 @@ pub(super) fn settings(args: &Args) -> Result<Settings, TooManyWorkers> {
         max_crashes: args.max_crashes,
         run_limit: args.max_run.0,
         retention,
+        least_free: args.min_free.0,
         ..Settings::new(&args.data)
     };
     settings.on(args.threads, args.workers)

@@ -19,7 +19,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::App;
 use super::audit::{Occurrence, is_told};
-use super::problem::{FORBIDDEN, INTERNAL_ERROR, Problem, UNAUTHENTICATED};
+use super::problem::{FORBIDDEN, INTERNAL_ERROR, KEYS_UNAVAILABLE, Problem, UNAUTHENTICATED};
 use super::trace::job_in_path;
 use crate::jobs::JobId;
 
@@ -191,8 +191,13 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
     scheme.eq_ignore_ascii_case("bearer").then(|| token.trim())
 }
 
-/// 401, as RFC 6750, section 3, has it: an error is named only where something was sent.
+/// 401, as RFC 6750, section 3, has it: an error is named only where something was sent. 503 where it is not known
+/// whether the key is wrong: a client must not throw a valid one away.
 fn unauthenticated(reason: &Unknown) -> Problem {
+    if let Unknown::Unreadable = reason {
+        let detail = format!("{reason}; try again later, the service's operator must mend the file");
+        return Problem::new(&KEYS_UNAVAILABLE, detail).header(header::RETRY_AFTER, RETRY_AFTER);
+    }
     let challenge = match reason {
         Unknown::Nobody => "Bearer realm=\"rosaline\"".to_owned(),
         reason => {

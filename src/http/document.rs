@@ -21,7 +21,8 @@ pub use parameters::{
 };
 pub use problems::{
     DeadProblems, DeleteProblems, JobProblems, LimitsProblems, ListProblems, MetricsProblems,
-    NegotiatedProblems, ReadyProblems, ResendProblems, ResultProblems, RetryProblems, SubmitProblems,
+    NegotiatedProblems, PlainProblems, ReadyProblems, ResendProblems, ResultProblems, RetryProblems,
+    SubmitProblems,
 };
 pub use responses::{
     AnyResult, Created, Dead, Deleted, Document, Events, GlbResult, GltfResult, Healthy, JsonResult,

@@ -16,6 +16,7 @@ use super::tls::Tls;
 use super::validation::Validator;
 use crate::jobs::JobService;
 
+use crate::outbound::webhooks;
 /// The service's state; clones share it.
 #[derive(Clone)]
 pub struct App(Arc<Inner>);
@@ -31,6 +32,7 @@ struct Inner {
     tls: Option<Arc<Tls>>,
     counters: Counters,
     closing: CancellationToken,
+    webhooks: Option<webhooks::Settings>,
     requests: TaskTracker,
 }
 
@@ -47,6 +49,7 @@ impl App {
         tls: Option<Tls>,
     ) -> Result<Self, ThreadPoolBuildError> {
         let validator = Validator::new(&limits)?;
+        webhooks: Option<webhooks::Settings>,
         Ok(Self(Arc::new(Inner {
             jobs,
             limits,
@@ -59,6 +62,7 @@ impl App {
             counters: Counters::default(),
             closing: CancellationToken::new(),
             requests: TaskTracker::new(),
+            webhooks,
         })))
     }
 
@@ -95,6 +99,11 @@ impl App {
     pub(super) fn counters(&self) -> &Counters {
         &self.0.counters
     }
+    /// How others are told of jobs' ends, if they are.
+    pub(super) fn webhooks(&self) -> Option<&webhooks::Settings> {
+        self.0.webhooks.as_ref()
+    }
+
 
     /// A place for each upload that may come in at the same time.
     pub(super) fn uploads(&self) -> &Arc<Semaphore> {

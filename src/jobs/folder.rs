@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use super::checkup::free;
 use super::faults::{Operation, between};
 
 /// Bytes kept free for changes of the database on a full disk: a start, a cancellation, a purge.
@@ -22,6 +23,10 @@ pub enum FolderError {
     InUse { path: String },
     #[error("the data folder {path} cannot be used: {source}; choose a folder that this user may write")]
     Io { path: String, source: io::Error },
+    #[error("the data folder cannot be written: {0}; see to its disk and to who owns it")]
+    Unwritable(io::Error),
+    #[error("{} MiB are free on the data folder's disk and {} should be; free space on it", free >> 20, least >> 20)]
+    NoRoom { free: u64, least: u64 },
 }
 
 /// An open data folder. Dropping it (or the death of the process) frees the lock.
@@ -47,6 +52,18 @@ impl DataFolder {
             Err(TryLockError::WouldBlock) => Err(FolderError::InUse { path: path.display().to_string() }),
             Err(TryLockError::Error(source)) => Err(failed(source)),
         }
+    }
+
+    /// Whether files can be made here, and so many bytes are free for them.
+    ///
+    /// Blocks.
+    pub(super) fn check(&self, least: u64) -> Result<(), FolderError> {
+        let probe = self.path.join("probe");
+        let written = fs::write(&probe, b"rosaline");
+        fs::remove_file(&probe).ok();
+        written.map_err(FolderError::Unwritable)?;
+        let free = free(&self.path).map_err(FolderError::Unwritable)?;
+        if free < least { Err(FolderError::NoRoom { free, least }) } else { Ok(()) }
     }
 
     pub fn database_url(&self) -> String {
@@ -153,6 +170,9 @@ mod tests {
         assert_eq!(fs::metadata(path.join("reserve")).unwrap().len(), 1 << 20);
         second.release_reserve();
         assert!(!path.join("reserve").exists());
+        second.check(1).unwrap();
+        assert!(matches!(second.check(u64::MAX), Err(FolderError::NoRoom { .. })));
+        assert!(!path.join("probe").exists());
     }
 
     #[test]

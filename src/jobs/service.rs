@@ -19,7 +19,7 @@ use super::store::{ListQuery, Page};
 use super::worker::{Phase, Shared, Worker};
 use super::{
     Clock, Counts, Doubt, IdSource, Job, JobError, JobId, JobSpec, JobStatus, Load, Settings, Spans,
-    Steadiness, Storage, StoredInput, SystemClock, Unready,
+    Steadiness, Storage, StoredInput, SystemClock,
 };
 
 /// A mesh that was stored for a job not yet submitted. Dropping it removes the mesh.
@@ -129,7 +129,7 @@ impl JobService {
         &self.shared.settings.spans
     }
 
-    fn phase(&self) -> Phase {
+    pub(super) fn phase(&self) -> Phase {
         *self.shared.phase.borrow()
     }
 
@@ -304,24 +304,6 @@ impl JobService {
 
     pub async fn counts(&self) -> Result<Counts, JobError> {
         Ok(self.shared.store.counts().await?)
-    }
-
-    /// Whether requests can be served: the stores can be written and no shutdown is under way.
-    pub async fn ready(&self) -> Result<(), Unready> {
-        let mut reasons = Vec::new();
-        if self.phase() != Phase::Open {
-            reasons.push(JobError::ShuttingDown.to_string());
-        }
-        if let Err(error) = self.shared.store.check().await {
-            reasons.push(error.to_string());
-        }
-        if let Err(error) = self.shared.blobs.check().await {
-            reasons.push(error.to_string());
-        }
-        if self.shared.held.load(Ordering::Relaxed) >= self.shared.settings.workers.get() {
-            reasons.push("every worker waits for a cancelled run that does not stop".to_owned());
-        }
-        if reasons.is_empty() { Ok(()) } else { Err(Unready { reasons }) }
     }
 
     /// Why the clock is doubted now, if it is.

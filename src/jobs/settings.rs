@@ -12,6 +12,9 @@ pub const MAX_CRASHES: NonZeroU32 = NonZeroU32::new(3).unwrap();
 /// How long one run of a job may take, where nothing else is set.
 pub const RUN_LIMIT: Duration = Duration::from_secs(60 * 60);
 
+/// Bytes that should be free on the data folder's disk, where nothing else is set.
+pub const LEAST_FREE: u64 = 64 << 20;
+
 /// Settings of [`super::JobService`].
 #[derive(Debug, Clone)]
 pub struct Settings {
@@ -29,6 +32,8 @@ pub struct Settings {
     pub poll: Duration,
     /// How long an ended job and its mesh are kept.
     pub retention: Retention,
+    /// Bytes free on the data folder's disk below which the service is not ready for requests.
+    pub least_free: u64,
     /// How often the service looks after its data folder.
     pub housekeeping: Duration,
     /// The least time between two writes of a running job's progress to the store.
@@ -58,6 +63,7 @@ impl Settings {
             max_crashes: MAX_CRASHES,
             run_limit: RUN_LIMIT,
             retention: Retention::default(),
+            least_free: LEAST_FREE,
             poll: Duration::from_secs(5),
             housekeeping: Duration::from_secs(60),
             flush: Duration::from_secs(1),

@@ -81,6 +81,17 @@ pub async fn start(settings: Settings, jobs: &JobService) -> Result<(), WebhookE
     Ok(())
 }
 
+/// Whether the targets can be read now: else changes are not taken over, and a restart may tell nobody.
+///
+/// # Errors
+/// When the file cannot be used, or is not there although it must or there are targets out of it.
+pub async fn check(settings: &Settings, jobs: &JobService) -> Result<(), WebhookError> {
+    if settings.file.read()?.is_none() && (settings.must_exist || jobs.outbox().listeners().await? > 0) {
+        return Err(settings.file.missing().into());
+    }
+    Ok(())
+}
+
 /// Exchanges the senders when the file has changed; a file that cannot be used, or is gone, leaves those before at work
 /// and is tried again.
 async fn follow(settings: Settings, outbox: Outbox, mut crew: Crew, first: Stamp) {

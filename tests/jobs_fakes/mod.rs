@@ -149,6 +149,8 @@ pub fn settings(data: &Path, workers: usize) -> Settings {
         threads_per_worker: NonZeroUsize::MIN,
         poll: Duration::from_secs(3600),
         flush: Duration::from_millis(50),
+        // The disks of some tests are small.
+        least_free: 1 << 20,
         ..Settings::new(data)
     }
 }

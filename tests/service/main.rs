@@ -34,6 +34,7 @@ mod keys;
 mod listing;
 mod load;
 mod metrics;
+mod readiness;
 mod refusals;
 mod resend;
 mod restarts;

@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use crate::meshes;
-use crate::service::{Service, command, problem};
+use crate::service::{Service, command};
 
 /// Runs a service that must not start; what it says on stderr.
 fn refused(mut command: Command) -> String {
@@ -76,18 +76,4 @@ async fn the_health_command_asks_the_service() {
     let output = health(&address);
     assert_eq!(output.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&output.stderr).contains(&address));
-}
-
-#[tokio::test]
-async fn readiness_says_why_not() {
-    let service = Service::start(&[]);
-    let (blobs, away) = (service.data().join("blobs"), service.data().join("away"));
-    std::fs::rename(&blobs, &away).unwrap();
-    let response = service.get("/readyz").send().await.unwrap();
-    assert!(response.headers().contains_key("retry-after"));
-    let body = problem(response, 503, "not-ready").await;
-    assert!(!body["reasons"].as_array().unwrap().is_empty(), "{body}");
-    assert_eq!(service.get("/healthz").send().await.unwrap().status(), 200);
-    std::fs::rename(&away, &blobs).unwrap();
-    service.assert_alive().await;
 }

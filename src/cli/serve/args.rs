@@ -85,6 +85,9 @@ pub struct Args {
     #[arg(long, env = "ROSALINE_KEEP_INPUT", value_name = "TIME")]
     pub keep_input: Option<Span>,
     /// How long an ended job and its results are kept [default: until they are deleted].
+    /// Room on the data folder's disk below which /readyz says that the service is not ready.
+    #[arg(long, env = "ROSALINE_MIN_FREE", default_value = "64MiB", value_name = "SIZE")]
+    pub min_free: Size,
     #[arg(long, env = "ROSALINE_KEEP_JOBS", value_name = "TIME")]
     pub keep_jobs: Option<Span>,
     /// How long an upload may stand still, in seconds or with s or m, before it is given up.

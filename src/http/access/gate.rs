@@ -6,7 +6,8 @@ use tokio_util::sync::CancellationToken;
 
 use super::jwt::TokenError;
 use super::keys::PREFIX;
-use super::{Caller, Issuer, KeyRing};
+use super::ring::Refusal;
+use super::{Caller, Issuer, KeyError, KeyRing};
 
 /// The keys in force, and the issuer whose tokens are accepted.
 pub struct Gate {
@@ -22,6 +23,9 @@ pub(super) enum Unknown {
     /// The same for a wrong key and a revoked one.
     #[error("the key is not valid")]
     Key,
+    /// Of a key; whether it is valid is not known.
+    #[error("the service cannot read its keys now, so it is not known whether this one is valid")]
+    Unreadable,
     #[error(transparent)]
     Token(#[from] TokenError),
 }
@@ -34,6 +38,14 @@ impl Gate {
     /// Whether a key or a token is needed.
     pub fn is_closed(&self) -> bool {
         self.issuer.is_some() || self.keys.is_closed()
+    }
+
+    /// Whether the keys can be read.
+    ///
+    /// # Errors
+    /// [`KeyError`] where they cannot.
+    pub(in super::super) fn check(&self) -> Result<(), KeyError> {
+        self.keys.check()
     }
 
     /// Keeps the issuer's keys fresh until `closing`.
@@ -51,7 +63,8 @@ impl Gate {
             }
             (issuer, token) => match self.keys.caller(token) {
                 // Anyone, as long as there is no key, but only where no token could be asked for instead.
-                Some(caller) if issuer.is_none() || matches!(caller, Caller::Principal(_)) => Ok(caller),
+                Ok(caller) if issuer.is_none() || matches!(caller, Caller::Principal(_)) => Ok(caller),
+                Err(Refusal::Unreadable) => Err(Unknown::Unreadable),
                 _ => Err(if token.is_some() { Unknown::Key } else { Unknown::Nobody }),
             },
         }

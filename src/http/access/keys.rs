@@ -28,6 +28,8 @@ pub enum KeyError {
         "the key file {path} is damaged: {detail}; restore it from a copy, or remove it and make new keys"
     )]
     Damaged { path: String, detail: String },
+    #[error("the key file {path} is gone; put a copy back, or make new keys")]
+    Missing { path: String },
     #[error("a name has 1 to {NAME_CHARS} letters, digits, '.', '_' and '-'")]
     Name,
     #[error(
@@ -167,8 +169,6 @@ impl KeyFile {
     }
 }
 
-/// The keys in the file; `None` where there is none.
-pub(super) fn read(path: &Path) -> Result<Option<Vec<Key>>, KeyError> {
 /// The key of this name that is not revoked: there is one at most.
 fn in_force<'k>(keys: &'k mut [Key], name: &str) -> Result<&'k mut Key, KeyError> {
     let was_there = keys.iter().any(|key| key.name == name);
@@ -178,6 +178,8 @@ fn in_force<'k>(keys: &'k mut [Key], name: &str) -> Result<&'k mut Key, KeyError
     })
 }
 
+/// The keys in the file; `None` where there is none.
+pub(super) fn read(path: &Path) -> Result<Option<Vec<Key>>, KeyError> {
     let text = match fs::read(path) {
         Ok(text) => text,
         Err(error) if is_absent(&error) => return Ok(None),

@@ -1,4 +1,7 @@
 //! The keys in force: read again when their file changes, so that a revoked key ends with the next request.
+//!
+//! While the file cannot be read, nobody is let in by a key, as one of those known before may have been revoked; and
+//! nobody is told that their key is wrong, which is not known.
 
 use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLock};
@@ -18,6 +21,17 @@ struct State {
     keys: Vec<Key>,
     /// There has been a key file: from then on nobody gets in without a key, also when it goes.
     closed: bool,
+    /// Why the file cannot be read now, where it cannot: then it is tried again at each request.
+    broken: Option<String>,
+}
+
+/// Why a key lets nobody in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Refusal {
+    /// There is none, it is wrong, or it was revoked.
+    Invalid,
+    /// The file of the keys cannot be read now.
+    Unreadable,
 }
 
 impl KeyRing {
@@ -27,7 +41,8 @@ impl KeyRing {
         let path = path.into();
         let stamp = stamp(&path);
         let found = read(&path)?;
-        let state = State { stamp, closed: found.is_some(), keys: found.unwrap_or_default() };
+        let closed = found.is_some();
+        let state = State { stamp, closed, keys: found.unwrap_or_default(), broken: None };
         Ok(Self { path, state: RwLock::new(state) })
     }
 
@@ -36,36 +51,62 @@ impl KeyRing {
         self.state.read().unwrap_or_else(PoisonError::into_inner).closed
     }
 
-    /// Whom a request with this token comes from; `None`: nobody who is let in.
-    pub fn caller(&self, token: Option<&str>) -> Option<Caller> {
+    /// Whom a request with this token comes from.
+    ///
+    /// # Errors
+    /// [`Refusal`], where it is nobody who is let in.
+    pub fn caller(&self, token: Option<&str>) -> Result<Caller, Refusal> {
         self.renew();
         let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
         if !state.closed {
-            return Some(Caller::Anyone);
+            return Ok(Caller::Anyone);
         }
-        let token = token?;
-        let id = id_of(token)?;
-        let key = state.keys.iter().find(|key| key.id == id && key.revoked.is_none())?;
-        let principal = || Principal { name: key.name.clone(), scopes: key.scopes.clone() };
-        is_same(&hash(token), &key.sha256).then(|| Caller::Principal(Arc::new(principal())))
+        let (token, id) = token.and_then(|token| Some((token, id_of(token)?))).ok_or(Refusal::Invalid)?;
+        if state.broken.is_some() {
+            return Err(Refusal::Unreadable);
+        }
+        let found = state.keys.iter().find(|key| key.id == id && key.revoked.is_none());
+        let key = found.filter(|key| is_same(&hash(token), &key.sha256)).ok_or(Refusal::Invalid)?;
+        Ok(Caller::Principal(Arc::new(Principal { name: key.name.clone(), scopes: key.scopes.clone() })))
+    }
+
+    /// Whether the keys can be read: also a file that has not changed since it could be.
+    ///
+    /// # Errors
+    /// [`KeyError::Missing`] where there was a file and is none now.
+    pub fn check(&self) -> Result<(), KeyError> {
+        match read(&self.path)? {
+            None if self.is_closed() => Err(KeyError::Missing { path: self.path.display().to_string() }),
+            _ => Ok(()),
+        }
     }
 
     fn renew(&self) {
         let stamp = stamp(&self.path);
-        if self.state.read().unwrap_or_else(PoisonError::into_inner).stamp == stamp {
-            return;
+        {
+            let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
+            if state.stamp == stamp && state.broken.is_none() {
+                return;
+            }
         }
         let found = read(&self.path);
         let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
         state.stamp = stamp;
-        match found {
-            Ok(Some(keys)) => (state.keys, state.closed) = (keys, true),
-            Ok(None) => state.keys.clear(),
-            // A key that was to be revoked may be among those known before.
-            Err(error) => {
-                tracing::error!(%error, "no key is let in");
-                (state.keys, state.closed) = (Vec::new(), true);
+        let error = match found {
+            Ok(Some(keys)) => {
+                (state.keys, state.closed, state.broken) = (keys, true, None);
+                return;
             }
+            Ok(None) if !state.closed => return,
+            Ok(None) => KeyError::Missing { path: self.path.display().to_string() },
+            Err(error) => error,
+        };
+        (state.keys, state.closed) = (Vec::new(), true);
+        let reason = error.to_string();
+        // Once for each reason, not at each request.
+        if state.broken.as_ref() != Some(&reason) {
+            tracing::error!(%error, "no key is let in");
+            state.broken = Some(reason);
         }
     }
 }
@@ -82,7 +123,7 @@ mod tests {
     use super::*;
 
     fn name(ring: &KeyRing, token: &str) -> Option<String> {
-        ring.caller(Some(token)).and_then(|caller| caller.owner().map(str::to_owned))
+        ring.caller(Some(token)).ok().and_then(|caller| caller.owner().map(str::to_owned))
     }
 
     #[test]
@@ -95,17 +136,24 @@ mod tests {
         assert!(ring.caller(None) == Err(Refusal::Invalid) && ring.is_closed());
         assert_eq!(name(&ring, &first).as_deref(), Some("pacs"));
         for wrong in ["", "x", &first[..first.len() - 1], &format!("{first}0"), &first.to_uppercase()] {
-            assert!(ring.caller(Some(wrong)).is_none(), "{wrong}");
+            assert_eq!(ring.caller(Some(wrong)), Err(Refusal::Invalid), "{wrong}");
         }
         let second = file.rotate("pacs").unwrap();
         assert!(name(&ring, &first).is_none() && name(&ring, &second).is_some());
+        let good = std::fs::read(&path).unwrap();
+        let unreadable = |ring: &KeyRing| {
+            assert_eq!(ring.caller(Some(&second)), Err(Refusal::Unreadable));
+            assert!(ring.check().is_err() && ring.caller(None) == Err(Refusal::Invalid));
+        };
         std::fs::write(&path, "{").unwrap();
-        assert!(ring.caller(Some(&second)).is_none() && ring.caller(None).is_none());
+        unreadable(&ring);
+        std::fs::write(&path, &good).unwrap();
+        assert!(name(&ring, &second).is_some() && ring.check().is_ok());
         std::fs::remove_file(&path).unwrap();
         unreadable(&ring);
         let third = file.add("pacs", &[Scope::Read], false).unwrap();
         assert!(name(&ring, &third).is_some());
         file.revoke("pacs").unwrap();
-        assert!(name(&ring, &third).is_none() && ring.caller(None).is_none());
+        assert!(name(&ring, &third).is_none() && ring.caller(None).is_err());
     }
 }

@@ -8,8 +8,11 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::super::App;
+use super::super::access::Gate;
 use super::super::document::{self, ReadyProblems};
 use super::super::problem::{NOT_READY, Problem};
+use crate::jobs::Unready;
+use crate::outbound::webhooks;
 
 /// Seconds after which to ask again.
 const RETRY_AFTER: u32 = 5;
@@ -52,7 +55,8 @@ pub async fn healthz() -> Response {
 
 /// Whether the service takes jobs
 ///
-/// Tries the job store and the disk. When this fails, send no requests; the problem's `reasons` say why. A clock that
+/// Tries the job store, the disk and its free space, and the files of keys and webhook targets. When this fails, send no
+/// requests; the problem's `reasons` say why. A clock that
 /// cannot be trusted, and a TLS certificate that is about to expire, are `warnings`: jobs are taken all the same.
 #[utoipa::path(
     get,
@@ -62,12 +66,31 @@ pub async fn healthz() -> Response {
     responses(document::Healthy, ReadyProblems)
 )]
 pub async fn readyz(State(app): State<App>) -> Result<Response, Problem> {
-    match app.jobs().ready().await {
-        Ok(()) => Ok(Health::response("ready", warnings(&app))),
-        Err(unready) => Err(Problem::new(&NOT_READY, unready.to_string())
-            .with("reasons", unready.reasons)
-            .header(header::RETRY_AFTER, RETRY_AFTER)),
+    let mut reasons = app.jobs().ready().await.err().map_or_else(Vec::new, |unready| unready.reasons);
+    reasons.extend(unreadable(&app).await.into_iter().map(str::to_owned));
+    if reasons.is_empty() {
+        return Ok(Health::response("ready", warnings(&app)));
     }
+    let unready = Unready { reasons };
+    Err(Problem::new(&NOT_READY, unready.to_string())
+        .with("reasons", unready.reasons)
+        .header(header::RETRY_AFTER, RETRY_AFTER))
+}
+
+/// The operator's files that cannot be read. Anyone may ask: where they are and what is in them is for the log.
+async fn unreadable(app: &App) -> Vec<&'static str> {
+    let mut found = Vec::new();
+    if let Some(Err(error)) = app.gate().map(Gate::check) {
+        tracing::error!(%error, "not ready");
+        found.push("the file of the keys cannot be read; `rosaline doctor` and the log say why");
+    }
+    if let Some(settings) = app.webhooks()
+        && let Err(error) = webhooks::check(settings, app.jobs()).await
+    {
+        tracing::error!(%error, "not ready");
+        found.push("the file of the webhook targets cannot be read; `rosaline doctor` and the log say why");
+    }
+    found
 }
 
 fn warnings(app: &App) -> Vec<String> {

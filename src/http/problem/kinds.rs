@@ -66,6 +66,7 @@ kinds! {
     INTERNAL_ERROR = INTERNAL_SERVER_ERROR, "internal-error", "The service failed";
     NOT_READY = SERVICE_UNAVAILABLE, "not-ready", "The service is not ready for work";
     STORAGE_UNAVAILABLE = SERVICE_UNAVAILABLE, "storage-unavailable",
+    KEYS_UNAVAILABLE = SERVICE_UNAVAILABLE, "keys-unavailable", "The service cannot read its keys";
         "The service cannot use its storage";
     STORAGE_FULL = INSUFFICIENT_STORAGE, "storage-full", "The service's disk is full";
 }
