@@ -64,6 +64,7 @@ async fn serve(args: Args, spans: Spans) -> Result<(), Failure> {
         head: args.head_timeout.0,
         validations: args.validations.get(),
         uploads: args.max_uploads.get(),
+        uploads_each: args.max_uploads_each.get(),
         queue: args.max_queue.get(),
         jobs_per_principal: args.max_jobs_each.get(),
         run: args.max_run.0,

@@ -25,6 +25,8 @@ pub struct Limits {
     pub validations: usize,
     /// Uploads that may come in at the same time.
     pub uploads: usize,
+    /// Uploads of one principal, or where no key is needed of one address, that may come in at the same time.
+    pub uploads_each: usize,
     /// Jobs that may wait.
     pub queue: u64,
     /// Jobs of one principal that may wait or run.
@@ -56,6 +58,7 @@ impl Default for Limits {
             head: Duration::from_secs(30),
             validations: 2,
             uploads: 256,
+            uploads_each: 64,
             queue: 100_000,
             jobs_per_principal: 10_000,
             run: RUN_LIMIT,

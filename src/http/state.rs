@@ -8,6 +8,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
 use super::access::Gate;
+use super::admission::Shares;
 use super::audit::Trail;
 use super::counters::Counters;
 use super::idempotency::InFlight;
@@ -15,8 +16,8 @@ use super::limits::Limits;
 use super::tls::Tls;
 use super::validation::Validator;
 use crate::jobs::JobService;
-
 use crate::outbound::webhooks;
+
 /// The service's state; clones share it.
 #[derive(Clone)]
 pub struct App(Arc<Inner>);
@@ -27,12 +28,13 @@ struct Inner {
     validator: Validator,
     in_flight: InFlight,
     uploads: Arc<Semaphore>,
+    shares: Shares,
     gate: Option<Gate>,
     trail: Option<Trail>,
     tls: Option<Arc<Tls>>,
+    webhooks: Option<webhooks::Settings>,
     counters: Counters,
     closing: CancellationToken,
-    webhooks: Option<webhooks::Settings>,
     requests: TaskTracker,
 }
 
@@ -47,22 +49,23 @@ impl App {
         gate: Option<Gate>,
         trail: Option<Trail>,
         tls: Option<Tls>,
+        webhooks: Option<webhooks::Settings>,
     ) -> Result<Self, ThreadPoolBuildError> {
         let validator = Validator::new(&limits)?;
-        webhooks: Option<webhooks::Settings>,
         Ok(Self(Arc::new(Inner {
             jobs,
             limits,
             validator,
             in_flight: InFlight::default(),
             uploads: Arc::new(Semaphore::new(limits.uploads)),
+            shares: Shares::default(),
             gate,
             trail,
             tls: tls.map(Arc::new),
+            webhooks,
             counters: Counters::default(),
             closing: CancellationToken::new(),
             requests: TaskTracker::new(),
-            webhooks,
         })))
     }
 
@@ -96,18 +99,23 @@ impl App {
         self.0.tls.as_ref()
     }
 
-    pub(super) fn counters(&self) -> &Counters {
-        &self.0.counters
-    }
     /// How others are told of jobs' ends, if they are.
     pub(super) fn webhooks(&self) -> Option<&webhooks::Settings> {
         self.0.webhooks.as_ref()
     }
 
+    pub(super) fn counters(&self) -> &Counters {
+        &self.0.counters
+    }
 
     /// A place for each upload that may come in at the same time.
     pub(super) fn uploads(&self) -> &Arc<Semaphore> {
         &self.0.uploads
+    }
+
+    /// How many of those places each sender has.
+    pub(super) fn shares(&self) -> &Shares {
+        &self.0.shares
     }
 
     pub(super) fn in_flight(&self) -> &InFlight {

@@ -72,6 +72,60 @@ async fn so_many_uploads_come_in_at_the_same_time() {
     service.accepted("", meshes::small()).await;
 }
 
+/// Begins an upload and leaves it half-way, open.
+fn half_an_upload(address: &str, key: Option<&str>) -> TcpStream {
+    let mut slow = TcpStream::connect(address).unwrap();
+    let key = key.map_or(String::new(), |key| format!("Authorization: Bearer {key}\r\n"));
+    let head = format!("POST /v1/jobs HTTP/1.1\r\nHost: x\r\n{key}Content-Length: 1000000\r\n\r\n");
+    slow.write_all(head.as_bytes()).unwrap();
+    slow.write_all(&[1; 1000]).unwrap();
+    slow
+}
+
+async fn files(service: &Service, count: usize) {
+    while service.files().len() != count {
+        tokio::time::sleep(std::time::Duration::from_millis(5)).await;
+    }
+}
+
+#[tokio::test]
+async fn one_sender_does_not_take_all_the_places_for_uploads() {
+    let service = Service::start(&["--max-uploads", "4", "--max-uploads-each", "2"]);
+    let limits: Value = service.get("/v1/limits").send().await.unwrap().json().await.unwrap();
+    assert_eq!((&limits["uploads"], &limits["uploads_each"]), (&4.into(), &2.into()));
+    // By address, as nobody needs a key.
+    let slow = [(); 2].map(|()| half_an_upload(service.address(), None));
+    files(&service, 2).await;
+    let response = service.submit("", meshes::small()).await;
+    assert!(response.headers().contains_key("retry-after"));
+    assert_eq!(problem(response, 429, "too-many-own-uploads").await["limit"], 2);
+    let elsewhere = reqwest::Client::builder().local_address(std::net::IpAddr::from([127, 0, 0, 2])).build();
+    let post = elsewhere.unwrap().post(format!("{}/v1/jobs", service.url)).body(meshes::small());
+    assert_eq!(post.send().await.unwrap().status(), 201);
+    drop(slow);
+    while service.submit("", meshes::small()).await.status() != 201 {
+        tokio::time::sleep(std::time::Duration::from_millis(5)).await;
+    }
+}
+
+#[tokio::test]
+async fn one_principal_does_not_take_all_the_places_for_uploads() {
+    let data = Arc::new(tempfile::tempdir().unwrap());
+    let key = |name: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+        command.args(["keys", "add", name, "--scope", "submit,read", "--data"]).arg(data.path());
+        String::from_utf8(command.output().unwrap().stdout).unwrap().trim().to_owned()
+    };
+    let (one, other) = (key("one"), key("other"));
+    let service = Service::start_on(data.clone(), &["--max-uploads-each", "2"]);
+    let slow = [(); 2].map(|()| half_an_upload(service.address(), Some(&one)));
+    files(&service, 2).await;
+    let post = |key: &str| service.post("/v1/jobs").bearer_auth(key).body(meshes::small()).send();
+    problem(post(&one).await.unwrap(), 429, "too-many-own-uploads").await;
+    assert_eq!(post(&other).await.unwrap().status(), 201);
+    drop(slow);
+}
+
 #[tokio::test]
 async fn a_job_that_takes_too_long_fails_and_frees_its_worker() {
     let service = Service::start(&["--workers", "1", "--max-run", "1s"]);

@@ -69,6 +69,10 @@ pub struct Args {
     /// Uploads that may come in at the same time.
     #[arg(long, env = "ROSALINE_MAX_UPLOADS", default_value = "256", value_name = "N")]
     pub max_uploads: NonZeroUsize,
+    /// Uploads of one principal, or where no key is needed of one address (of IPv6 one /64), that may come in at the
+    /// same time.
+    #[arg(long, env = "ROSALINE_MAX_UPLOADS_EACH", default_value = "64", value_name = "N")]
+    pub max_uploads_each: NonZeroUsize,
     /// Jobs that may wait.
     #[arg(long, env = "ROSALINE_MAX_QUEUE", default_value = "100000", value_name = "N")]
     pub max_queue: NonZeroU64,

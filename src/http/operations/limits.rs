@@ -39,6 +39,9 @@ pub struct LimitsDocument {
     validations: usize,
     /// Uploads that may come in at the same time; more get a 503.
     uploads: usize,
+    /// Uploads of one principal, or where no key is needed of one address, that may come in at the same time; more get a
+    /// 429.
+    uploads_each: usize,
     /// Jobs that may wait; more get a 503.
     queue: u64,
     /// Jobs of one principal that may wait or run; more get a 429.
@@ -72,6 +75,7 @@ impl From<&Limits> for LimitsDocument {
             head_seconds: limits.head.as_secs(),
             validations: limits.validations,
             uploads: limits.uploads,
+            uploads_each: limits.uploads_each,
             queue: limits.queue,
             jobs_per_principal: limits.jobs_per_principal,
             run_seconds: limits.run.as_secs(),

@@ -6,7 +6,6 @@ use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use tokio::sync::OwnedSemaphorePermit;
 
 use super::super::access::{self, Caller, Left};
 use super::super::admission::{self, Place};
@@ -14,7 +13,7 @@ use super::super::document::{self, SubmitProblems};
 use super::super::idempotency::{self, Claim};
 use super::super::representation::{StatusDocument, job_path};
 use super::super::upload::{self, Received};
-use super::super::{App, Problem, admission, prefer};
+use super::super::{App, Problem, prefer};
 use super::status::{RETRY_AFTER, tagged};
 use crate::jobs::{FormatHint, Job, JobSpec, Origin, ParameterValues, Span};
 
@@ -45,10 +44,10 @@ pub async fn submit(State(app): State<App>, caller: Caller, request: Request) ->
     let request_id = request_id(request.headers(), app.limits().reference_chars);
     let claim = app.in_flight().claim(request.headers(), caller.owner())?;
     admission::room(&app, &caller).await?;
-    let place = admission::place(&app)?;
+    let place = admission::place(&app, &caller, request.extensions().get())?;
     let span = request.extensions().get::<Span>().cloned().unwrap_or_default();
-    let headers = request.headers().clone();
     let left = request.extensions().get::<Left>().cloned();
+    let headers = request.headers().clone();
     let receiving = span.child("receive");
     let mut received = upload::receive(&app, request).await?;
     drop(receiving);
@@ -76,7 +75,7 @@ pub async fn submit(State(app): State<App>, caller: Caller, request: Request) ->
 async fn inspect(
     app: &App,
     Received { upload, hint, .. }: Received,
-    place: OwnedSemaphorePermit,
+    place: Place,
 ) -> Result<Response, Problem> {
     let turn = app.validator().turn().await?;
     drop(place);
@@ -89,7 +88,7 @@ async fn inspect(
 async fn accept(
     app: &App,
     received: Received,
-    place: OwnedSemaphorePermit,
+    place: Place,
     request_id: Option<String>,
     claim: Option<&Claim>,
     span: &Span,

@@ -60,6 +60,8 @@ kinds! {
         "The mesh file uses a feature that is not read";
     MESH_TOO_LARGE = PAYLOAD_TOO_LARGE, "too-large", "The mesh is larger than the limits";
     TOO_MANY_JOBS = TOO_MANY_REQUESTS, "too-many-jobs", "The caller has as many active jobs as it may";
+    TOO_MANY_OWN_UPLOADS = TOO_MANY_REQUESTS, "too-many-own-uploads",
+        "The caller has as many uploads under way as it may";
     // The service.
     QUEUE_FULL = SERVICE_UNAVAILABLE, "queue-full", "As many jobs wait as may";
     TOO_MANY_UPLOADS = SERVICE_UNAVAILABLE, "too-many-uploads", "As many uploads come in as may";
