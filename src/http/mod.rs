@@ -15,6 +15,7 @@ mod digest;
 pub mod document;
 mod etag;
 mod exposition;
+mod host;
 mod idempotency;
 mod inspection;
 pub mod limits;

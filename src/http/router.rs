@@ -13,7 +13,7 @@ use super::operations::{
     delete, events, health, limits, list, metrics, openapi, result, retry, status, submit, webhooks,
 };
 use super::problem::{INTERNAL_ERROR, METHOD_NOT_ALLOWED, NOT_FOUND, Problem};
-use super::{App, access, cors, document, lingering, trace};
+use super::{App, access, cors, document, host, lingering, trace};
 use crate::jobs::Spans;
 
 /// Every route; each brings its own part of the document.
@@ -50,6 +50,7 @@ fn wrapped(router: Router, watched: (Counters, Spans)) -> Router {
     router
         // Uploads are streams with a limit of their own.
         .layer(DefaultBodyLimit::disable())
+        .layer(middleware::from_fn(host::check))
         .layer(middleware::from_fn(lingering::linger))
         .layer(CatchPanicLayer::custom(|_: Box<dyn std::any::Any + Send>| panicked()))
         .layer(cors::layer())
@@ -87,7 +88,8 @@ mod tests {
     #[tokio::test]
     async fn a_panic_is_a_problem_without_its_message() {
         let router = wrapped(Router::new().route("/", get(panics)), Default::default());
-        let response = router.oneshot(Request::new(Body::empty())).await.unwrap();
+        let request = Request::builder().header(header::HOST, "x").body(Body::empty()).unwrap();
+        let response = router.oneshot(request).await.unwrap();
         assert_eq!(response.status(), StatusCode::INTERNAL_SERVER_ERROR);
         assert_eq!(response.headers()[header::CONTENT_TYPE], "application/problem+json");
         assert_eq!(response.headers()[header::ACCESS_CONTROL_ALLOW_ORIGIN], "*");

@@ -1,5 +1,7 @@
 //! Bad input: each kind is refused with a problem, leaves nothing behind, and the service lives on.
 
+use std::io::{Read, Write};
+
 use reqwest::multipart::{Form, Part};
 use serde_json::{Value, json};
 
@@ -285,4 +287,31 @@ async fn other_paths_methods_and_ids_are_problems_too() {
         problem(response, 405, "method-not-allowed").await;
     }
     service.assert_alive().await;
+}
+
+/// RFC 9112, section 3.2.
+#[tokio::test]
+async fn a_request_needs_one_host() {
+    let service = Service::start(&[]);
+    let answer = |head: &str| {
+        let mut stream = std::net::TcpStream::connect(service.address()).unwrap();
+        stream.write_all(format!("{head}Connection: close\r\n\r\n").as_bytes()).unwrap();
+        let mut text = String::new();
+        stream.read_to_string(&mut text).unwrap();
+        text
+    };
+    for path in ["/healthz", "/v1/jobs", "/nowhere", "/openapi.yaml"] {
+        for hosts in ["", "Host: a\r\nHost: a\r\n", "Host: a/b\r\n"] {
+            let text = answer(&format!("GET {path} HTTP/1.1\r\n{hosts}"));
+            assert!(text.starts_with("HTTP/1.1 400 "), "{path} {hosts}: {text}");
+            assert!(
+                text.contains("urn:rosaline:problem:malformed-request") && text.contains("Host"),
+                "{text}"
+            );
+        }
+    }
+    for head in ["GET /healthz HTTP/1.1\r\nHost: a:1\r\n", "GET /healthz HTTP/1.0\r\n"] {
+        let text = answer(head);
+        assert!(text.split(' ').nth(1) == Some("200"), "{head}: {text}");
+    }
 }

@@ -255,3 +255,27 @@ async fn a_result_that_is_not_what_was_stored_is_never_served() {
     std::fs::remove_file(&file).unwrap();
     problem(service.get(&format!("{result}.glb")).send().await.unwrap(), 500, "internal-error").await;
 }
+
+/// RFC 9110, section 13.1.1.
+#[tokio::test]
+async fn a_result_that_is_another_than_if_match_names_is_not_sent() {
+    let (service, result) = finished().await;
+    for path in [result.clone(), format!("{result}.glb")] {
+        let tag = service.get(&path).send().await.unwrap().headers()["etag"].to_str().unwrap().to_owned();
+        let asked = |value: &str| service.get(&path).header("if-match", value);
+        for value in [tag.as_str(), "*", &format!("\"other\", {tag}")] {
+            assert_eq!(asked(value).send().await.unwrap().status(), 200, "{value}");
+        }
+        for value in ["\"other\"", &format!("W/{tag}")] {
+            problem(asked(value).send().await.unwrap(), 412, "precondition-failed").await;
+            let known = asked(value).header("if-none-match", &tag).header("range", "bytes=0-9");
+            assert_eq!(known.send().await.unwrap().status(), 412, "it goes before the others");
+            let head = service.client.head(format!("{}{path}", service.url)).header("if-match", value);
+            assert_eq!(head.send().await.unwrap().status(), 412);
+        }
+    }
+    let packed = service.get(&result).header("accept-encoding", "gzip");
+    let tag = packed.send().await.unwrap().headers()["etag"].clone();
+    let plain = service.get(&result).header("if-match", &tag).send().await.unwrap();
+    problem(plain, 412, "precondition-failed").await;
+}

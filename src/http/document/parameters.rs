@@ -98,6 +98,7 @@ parameters! {
     IfNoneMatchHeader => vec![if_none_match()];
     /// Conditions and ranges of a result.
     ConditionHeaders => vec![
+        header("If-Match", "The result's `ETag`s for which to send it: 412 when it has another", text(), json!(ETAG)),
         if_none_match(),
         header("Range", "One range of bytes; several are answered whole", text(), json!("bytes=0-1023")),
         header(

@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 
 use super::super::App;
 use super::super::access::Gate;
-use super::super::document::{self, ReadyProblems};
+use super::super::document::{self, PlainProblems, ReadyProblems};
 use super::super::problem::{NOT_READY, Problem};
 use crate::jobs::Unready;
 use crate::outbound::webhooks;
@@ -47,7 +47,7 @@ impl Health {
     path = "/healthz",
     operation_id = "getHealth",
     tag = document::SERVICE,
-    responses(document::Healthy)
+    responses(document::Healthy, PlainProblems)
 )]
 pub async fn healthz() -> Response {
     Health::response("ok", Vec::new())

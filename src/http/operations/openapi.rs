@@ -30,7 +30,7 @@ static YAML: LazyLock<Yaml> = LazyLock::new(|| {
     operation_id = "getOpenApi",
     tag = document::SERVICE,
     params(document::IfNoneMatchHeader),
-    responses(document::Document)
+    responses(document::Document, document::PlainProblems)
 )]
 pub async fn openapi(headers: HeaderMap) -> Response {
     let yaml = &*YAML;

@@ -13,7 +13,7 @@ use futures::stream::BoxStream;
 
 use super::super::document::{self, NegotiatedProblems, ResultProblems};
 use super::super::etag::ETag;
-use super::super::problem::{NOT_ACCEPTABLE, Problem, RANGE_NOT_SATISFIABLE};
+use super::super::problem::{NOT_ACCEPTABLE, PRECONDITION_FAILED, Problem, RANGE_NOT_SATISFIABLE};
 use super::super::{App, coding, negotiation, range};
 use super::status::RETRY_AFTER;
 use super::{Asked, Id};
@@ -106,6 +106,10 @@ async fn answer(app: &App, id: JobId, format: OutputFormat, asked: &Asked) -> Re
     let artifact = app.jobs().result_in(id, format, &codings).await.map_err(unavailable)?;
     let etag = ETag::of_digest(&artifact.sha256);
     let headers = &asked.headers;
+    if !etag.allows(headers) {
+        let detail = "the result is not the one that If-Match names, in this form and coding; leave it out, or take the ETag of this";
+        return Err(Problem::new(&PRECONDITION_FAILED, detail).about(id));
+    }
     let mut response = if etag.is_known_to(headers) {
         StatusCode::NOT_MODIFIED.into_response()
     } else {
@@ -134,10 +138,6 @@ fn asked_part(headers: &HeaderMap, etag: &ETag, length: u64) -> range::Asked {
 }
 
 /// A result that is purged while it is asked for is a job that is not there.
-async fn open(
-    app: &App,
-    id: JobId,
-    artifact: &StoredArtifact,
 async fn present<T>(app: &App, id: JobId, found: Result<T, JobError>) -> Result<T, Problem> {
     match found {
         Err(error @ JobError::Blob(BlobError::NotFound { .. })) => {
@@ -148,6 +148,10 @@ async fn present<T>(app: &App, id: JobId, found: Result<T, JobError>) -> Result<
     }
 }
 
+async fn open(
+    app: &App,
+    id: JobId,
+    artifact: &StoredArtifact,
     part: Option<Range<u64>>,
 ) -> Result<BlobReader, Problem> {
     present(app, id, app.jobs().open_result(artifact, part).await).await

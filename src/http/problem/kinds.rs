@@ -43,7 +43,7 @@ kinds! {
         "The content type is not one that jobs are made from";
     UNSUPPORTED_CODING = UNSUPPORTED_MEDIA_TYPE, "unsupported-coding", "The body came compressed";
     PRECONDITION_FAILED = PRECONDITION_FAILED, "precondition-failed",
-        "The job is not in the state that the request is for";
+        "The job or its result is not in the state that the request is for";
     RANGE_NOT_SATISFIABLE = RANGE_NOT_SATISFIABLE, "range-not-satisfiable",
         "The range lies outside of the result";
     // Meshes, in the words of the readers' errors.
@@ -66,9 +66,9 @@ kinds! {
     QUEUE_FULL = SERVICE_UNAVAILABLE, "queue-full", "As many jobs wait as may";
     TOO_MANY_UPLOADS = SERVICE_UNAVAILABLE, "too-many-uploads", "As many uploads come in as may";
     INTERNAL_ERROR = INTERNAL_SERVER_ERROR, "internal-error", "The service failed";
+    KEYS_UNAVAILABLE = SERVICE_UNAVAILABLE, "keys-unavailable", "The service cannot read its keys";
     NOT_READY = SERVICE_UNAVAILABLE, "not-ready", "The service is not ready for work";
     STORAGE_UNAVAILABLE = SERVICE_UNAVAILABLE, "storage-unavailable",
-    KEYS_UNAVAILABLE = SERVICE_UNAVAILABLE, "keys-unavailable", "The service cannot read its keys";
         "The service cannot use its storage";
     STORAGE_FULL = INSUFFICIENT_STORAGE, "storage-full", "The service's disk is full";
 }
