@@ -33,7 +33,7 @@ pub use control::{CancelToken, Control, Part, Progress, Stage};
 pub use error::ExtractError;
 pub use graph::{Branch, Centerline, Extraction, Node, NodeKind, SurfaceSummary, Warning};
 pub use parameters::{
-    POINTS, ParameterError, ParameterKind, ParameterSpec, Parameters, PointsSpec, Preset, TABLE,
+    FARTHEST, POINTS, ParameterError, ParameterKind, ParameterSpec, Parameters, PointsSpec, Preset, TABLE,
 };
 pub use quality::{Centeredness, Homotopy, Quality};
 

@@ -149,6 +149,10 @@ pub const TABLE: &[ParameterSpec] = &[
     },
 ];
 
+/// How far a coordinate of a point may be from 0: as far as a surface may be large. Its square is a finite `f64`, and
+/// itself a finite `f32`.
+pub const FARTHEST: f64 = 1e30;
+
 /// A parameter that is a list of points in the mesh's coordinates; both presets use it, and it is empty by default.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PointsSpec {
@@ -242,11 +246,12 @@ impl Parameters {
     fn add_point(&mut self, index: usize, text: &str) -> Result<(), ParameterError> {
         let PointsSpec { name, most, .. } = POINTS[index];
         let numbers: Vec<f64> = text.split(',').filter_map(|number| number.trim().parse().ok()).collect();
-        let whole =
-            text.split(',').count() == 3 && numbers.len() == 3 && numbers.iter().all(|x| x.is_finite());
+        let is_near = |x: &f64| x.abs() <= FARTHEST;
+        let whole = text.split(',').count() == 3 && numbers.len() == 3 && numbers.iter().all(is_near);
         if !whole {
             let found = shown(text);
-            let expected = "x,y,z: three finite numbers in the mesh's coordinates".to_owned();
+            let expected =
+                format!("x,y,z: three numbers in the mesh's coordinates, each within {FARTHEST:e} of 0");
             return Err(ParameterError::Value { name, found, expected });
         }
         if self.points[index].len() == most {

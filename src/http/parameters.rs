@@ -282,6 +282,8 @@ mod tests {
         let query = pairs(&[("include", "1,2,3"), ("root", "0,0,0"), ("include", "-4,5e1,6")]).unwrap();
         assert_eq!(query.parameters.include().len(), 2);
         let json = br#"{"include": ["1,2,3", "-4,5e1,6"], "root": "0,0,0"}"#;
+            (vec![("include", "1e308,0,0")], "include"),
+            (vec![("root", "0,0,-1.1e30")], "root"),
         assert_eq!(Asked::from_pairs(&json_pairs(json).unwrap(), &Limits::default()).unwrap(), query);
         for (list, name) in [
             (vec![("root", "0,0,0"), ("root", "1,1,1")], "root"),

@@ -315,3 +315,27 @@ async fn a_request_needs_one_host() {
         assert!(text.split(' ').nth(1) == Some("200"), "{head}: {text}");
     }
 }
+
+/// What could only fail later, in the run, is refused at once.
+#[tokio::test]
+async fn points_that_cannot_be_reckoned_with_are_refused() {
+    let service = Service::start(&[]);
+    for point in ["1e308,0,0", "0,-1e31,0", "inf,0,0", "0,0,1e999"] {
+        for name in ["include", "exclude", "root"] {
+            let response = service.submit(&format!("?{name}={point}"), meshes::small()).await;
+            let body = problem(response, 400, "invalid-parameter").await;
+            assert_eq!(body["parameter"], name);
+            assert!(body["detail"].as_str().unwrap().contains("within 1e30 of 0"), "{body}");
+        }
+        let parameters =
+            Part::text(json!({"include": [point]}).to_string()).mime_str("application/json").unwrap();
+        let form = Form::new().part("parameters", parameters).part("mesh", Part::bytes(meshes::small()));
+        let response = service.post("/v1/jobs").multipart(form).send().await.unwrap();
+        problem(response, 400, "invalid-parameter").await;
+    }
+    assert_unharmed(&service).await;
+    // The farthest that is taken does no harm.
+    let job = service.accepted("?exclude=1e30,-1e30,1e30&root=1e30,1e30,1e30", meshes::small()).await;
+    let status = service.ended(&job).await;
+    assert!(status["status"] == "successful" || status["error"]["status"] == 422, "{status}");
+}

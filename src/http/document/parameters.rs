@@ -10,7 +10,7 @@ use super::super::idempotency::{IDEMPOTENCY_KEY, KEY_PATTERN};
 use super::super::limits::Limits;
 use super::super::parameters::{CLIENT_REFERENCE, DRY_RUN, NAME, PRESET, PRIORITY, UNITS};
 use super::super::prefer::PREFER;
-use crate::centerline::{POINTS, ParameterKind, ParameterSpec, PointsSpec, Preset, TABLE};
+use crate::centerline::{FARTHEST, POINTS, ParameterKind, ParameterSpec, PointsSpec, Preset, TABLE};
 use crate::jobs::{JobStatus, Priority};
 use crate::mesh::Units;
 use crate::output::OutputFormat;
@@ -170,12 +170,15 @@ pub fn job_parameters() -> Vec<(String, Object)> {
 
 /// A parameter of points: one as a text, many as a list of texts.
 pub fn points_schema(spec: &PointsSpec) -> Schema {
-    /// A number, as JSON and many languages write it, three times; of so many digits that it is surely finite.
-    const POINT: &str = "^ *[-+]?([0-9]{1,40}(\\.[0-9]{0,40})?|\\.[0-9]{1,40})([eE][-+]?[0-9]{1,2})?\
-        ( *, *[-+]?([0-9]{1,40}(\\.[0-9]{0,40})?|\\.[0-9]{1,40})([eE][-+]?[0-9]{1,2})?){2} *$";
-    let description = Some(format!("{}. As x,y,z in the mesh's coordinates", spec.doc));
-    let point =
-        ObjectBuilder::new().schema_type(Type::String).pattern(Some(POINT)).examples([json!("1.5,-20,3e1")]);
+    /// A number, as JSON and many languages write it; of so few digits that it is surely within the bound.
+    const NUMBER: &str =
+        "[-+]?([0-9]{1,20}(\\.[0-9]{0,40})?|\\.[0-9]{1,40})([eE](\\+?(10|[0-9])|-[0-9]{1,2}))?";
+    let pattern = format!("^ *{NUMBER}( *, *{NUMBER}){{2}} *$");
+    let description = Some(points_description(spec));
+    let point = ObjectBuilder::new()
+        .schema_type(Type::String)
+        .pattern(Some(pattern))
+        .examples([json!("1.5,-20,3e1")]);
     if spec.most == 1 {
         return Schema::Object(point.description(description).build());
     }
@@ -184,13 +187,17 @@ pub fn points_schema(spec: &PointsSpec) -> Schema {
     )
 }
 
+fn points_description(spec: &PointsSpec) -> String {
+    format!("{}. As x,y,z in the mesh's coordinates, each within {FARTHEST:e} of 0", spec.doc)
+}
+
 /// The same in the query, where a list is the name given more than once.
 fn points_query(spec: &PointsSpec) -> Parameter {
     ParameterBuilder::new()
         .name(spec.name)
         .parameter_in(ParameterIn::Query)
         .required(Required::False)
-        .description(Some(format!("{}. As x,y,z in the mesh's coordinates", spec.doc)))
+        .description(Some(points_description(spec)))
         .style(Some(ParameterStyle::Form))
         .explode(Some(true))
         .schema(Some(points_schema(spec)))
