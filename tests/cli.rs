@@ -198,6 +198,8 @@ fn a_failure_is_one_line_and_leaves_no_file() {
     assert_eq!(fs::read(folder.join("kept.json")).unwrap(), b"an older result");
     let line = failure(folder, &["compare", "vessel.json", "picture.png"]);
     assert!(line.contains("picture.png"), "{line}");
+    let line = failure(folder, &["compare", "vessel.json", "vessel.stl"]);
+    assert!(line.contains("neither JSON nor XML") && line.contains("-o LINE.json"), "{line}");
     failure(folder, &["phantom", "tree", "--voxel=9", "-o", "coarse"]);
     failure(folder, &["phantom", "tube", "-o", "no/such/prefix"]);
     assert_eq!(files(folder), before);
@@ -258,5 +260,27 @@ fn phantoms_have_the_faults_that_were_asked_for() {
         assert_eq!(document["method"]["parameters"][parameter], value, "{name}");
         assert_eq!(document["branches"], line["branches"], "{name}");
         assert_eq!(document["source"]["openings"], if name == "open" { 2 } else { 0 }, "{name}");
+    }
+}
+
+/// People are told that there is nothing; programs read an empty list, as before.
+#[test]
+fn an_empty_list_is_told_beside_it() {
+    let folder = tempfile::tempdir().unwrap();
+    for (what, hint) in [("keys", "keys add NAME"), ("webhooks", "webhooks add NAME")] {
+        let output = done(folder.path(), &[what, "list"]);
+        assert!(output.stdout.is_empty() && text(&output.stderr).contains(hint), "{what}: {output:?}");
+    }
+}
+
+#[test]
+fn a_line_as_glb_is_refused_with_what_is_read() {
+    let folder = bifurcation();
+    let folder = folder.path();
+    for (name, what) in [("line.glb", "a GLB"), ("line.gltf", "a glTF")] {
+        done(folder, &["extract", "vessel.stl", "-o", name]);
+        let line = failure(folder, &["compare", "vessel.json", name]);
+        assert!(line.contains(name) && line.contains(&format!("this is {what};")), "{line}");
+        assert!(line.contains("results/centerline.json") && line.contains(".vtp"), "{line}");
     }
 }

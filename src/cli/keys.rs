@@ -58,7 +58,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Command::Rotate { name } => writeln!(out, "{}", file.rotate(&name)?)?,
         Command::Revoke { name } => file.revoke(&name)?,
         Command::List => {
-            for key in file.list()? {
+            let keys = file.list()?;
+            if keys.is_empty() {
+                // Beside the list, which programs read.
+                writeln!(
+                    std::io::stderr(),
+                    "there is no key; 'rosaline keys add NAME --scope submit,read' makes one"
+                )?;
+            }
+            for key in keys {
                 let scopes: Vec<&str> = key.scopes.iter().map(|scope| scope.name()).collect();
                 let state = key.revoked.map_or("active".to_owned(), |when| format!("revoked {when}"));
                 writeln!(out, "{}  {}  {}  {}  {state}", key.name, key.id, scopes.join(","), key.created)?;

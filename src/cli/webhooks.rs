@@ -70,7 +70,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Command::Rotate { name, overlap } => writeln!(out, "{}", file.rotate(&name, overlap.0)?)?,
         Command::Remove { name } => file.remove(&name)?,
         Command::List => {
-            for target in file.list()? {
+            let targets = file.list()?;
+            if targets.is_empty() {
+                // Beside the list, which programs read.
+                writeln!(
+                    std::io::stderr(),
+                    "there is no target; 'rosaline webhooks add NAME --url URL' adds one"
+                )?;
+            }
+            for target in targets {
                 let events: Vec<&str> = target.events.iter().map(|event| event.status().name()).collect();
                 let owner = target.owner.as_deref().unwrap_or("everybody");
                 writeln!(out, "{}  {}  {}  {owner}", target.name, target.url, events.join(","))?;

@@ -93,6 +93,15 @@ mod tests {
         assert_eq!(Line::read(short).unwrap_err().to_string(), "polyline 0 has 1 points; a line needs two");
         let three = br#"{"l_dia": 1, "tips": 2, "loops": 0, "polylines": [[[0, 0, 0], [1, 0, 0]]]}"#;
         assert!(matches!(Line::read(three), Err(CompareError::Json(_))));
-        assert!(matches!(Line::read(b"solid mesh"), Err(CompareError::Document(_))));
+        assert!(matches!(Line::read(b"{}"), Err(CompareError::Document(_))));
+        for (bytes, found) in [
+            (&b"glTF\x02\0\0\0"[..], "this is a GLB;"),
+            (b"{\"asset\": {\"version\": \"2.0\"}}", "this is a glTF;"),
+            (b"solid mesh", "this is neither JSON nor XML;"),
+            (b"", "this is empty;"),
+        ] {
+            let error = Line::read(bytes).unwrap_err().to_string();
+            assert!(error.starts_with(found) && error.contains("results/centerline.json"), "{error}");
+        }
     }
 }

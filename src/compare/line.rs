@@ -38,6 +38,24 @@ pub(super) struct Sample {
     pub weight: f64,
 }
 
+/// What the bytes are, where they are nothing that a line is read from.
+fn unread(bytes: &[u8]) -> Option<&'static str> {
+    #[derive(serde::Deserialize)]
+    struct Gltf {
+        #[serde(rename = "asset")]
+        _asset: serde::de::IgnoredAny,
+    }
+    if bytes.starts_with(b"glTF") {
+        return Some("a GLB");
+    }
+    match bytes.trim_ascii_start().first() {
+        None => Some("empty"),
+        Some(b'{') if serde_json::from_slice::<Gltf>(bytes).is_ok() => Some("a glTF"),
+        Some(b'{' | b'<') => None,
+        Some(_) => Some("neither JSON nor XML"),
+    }
+}
+
 impl Line {
     /// Reads a `rosaline.centerline/1` document, known polylines `[x, y, z, radius]` in mm with the members
     /// `l_dia`, `tips` and `loops`, or VMTK's centerlines in a VTP.
@@ -45,6 +63,9 @@ impl Line {
     /// # Errors
     /// [`CompareError`] when it is none of them, or contradicts itself.
     pub fn read(bytes: &[u8]) -> Result<Self, CompareError> {
+        if let Some(format) = unread(bytes) {
+            return Err(CompareError::Format(format));
+        }
         if vmtk::is_xml(bytes) {
             vmtk::read(bytes)
         } else if known::is_known(bytes) {

@@ -77,6 +77,11 @@ impl Measures {
 #[derive(Debug, thiserror::Error)]
 pub enum CompareError {
     #[error(
+        "this is {0}; a line is read from Rosaline's JSON, from polylines with `l_dia` as JSON, or from VMTK's centerlines (.vtp): \
+         of a job take results/centerline.json, of a mesh what 'rosaline extract MESH -o LINE.json' makes"
+    )]
+    Format(&'static str),
+    #[error(
         "this is neither a rosaline.centerline/1 document nor a list of polylines [x, y, z, radius]: {0}"
     )]
     Json(#[from] serde_json::Error),
