@@ -10,6 +10,7 @@ use super::faults::{Operation, between};
 
 /// Bytes kept free for changes of the database on a full disk: a start, a cancellation, a purge.
 const RESERVE: usize = 1 << 20;
+const DATABASE: &str = "jobs.sqlite";
 const LOCK_TRIES: u32 = 5;
 const LOCK_WAIT: Duration = Duration::from_millis(20);
 const RESERVE_STEP: usize = 4 << 10;
@@ -54,6 +55,20 @@ impl DataFolder {
         }
     }
 
+    /// Sees that only its owner can read the database, which holds names: SQLite gives its log and its index the mode that
+    /// the database has.
+    ///
+    /// # Errors
+    /// When it cannot be made or written.
+    pub(super) fn keep_database_private(&self) -> Result<(), FolderError> {
+        let private = |name: &str| {
+            let path = self.path.join(name);
+            private(&path, name == DATABASE)
+                .map_err(|source| FolderError::Io { path: path.display().to_string(), source })
+        };
+        [DATABASE, "jobs.sqlite-wal", "jobs.sqlite-shm"].into_iter().try_for_each(private)
+    }
+
     /// Whether files can be made here, and so many bytes are free for them.
     ///
     /// Blocks.
@@ -67,7 +82,7 @@ impl DataFolder {
     }
 
     pub fn database_url(&self) -> String {
-        format!("sqlite://{}?mode=rwc", percent_encoded(&self.path.join("jobs.sqlite")))
+        format!("sqlite://{}?mode=rwc", percent_encoded(&self.path.join(DATABASE)))
     }
 
     /// Gives the reserve back to the disk, so that a change of the database fits on a full one.
@@ -119,6 +134,26 @@ fn incompressible(length: usize) -> Vec<u8> {
         (state >> 56) as u8
     };
     (0..length).map(next).collect()
+}
+
+/// Takes a file away from all but its owner; one that is not there is made where `made`.
+fn private(path: &Path, made: bool) -> io::Result<()> {
+    let mut options = OpenOptions::new();
+    options.append(true).create(made);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    let file = match options.open(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound && !made => return Ok(()),
+        opened => opened?,
+    };
+    #[cfg(unix)]
+    if std::os::unix::fs::MetadataExt::mode(&file.metadata()?) & 0o077 != 0
+        && let Err(error) = file.set_permissions(std::os::unix::fs::PermissionsExt::from_mode(0o600))
+    {
+        // It may be another user's that this one may write; that is no reason not to start.
+        tracing::warn!(%error, path = %path.display(), "others may read the database");
+    }
+    Ok(())
 }
 
 /// Creates `path`, readable by its owner only, and makes the new entries durable.

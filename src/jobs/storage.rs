@@ -25,6 +25,7 @@ impl Storage {
             let folder = DataFolder::open(&data)?;
             // Until the service has started: a full disk must not keep it from that.
             folder.release_reserve();
+            folder.keep_database_private()?;
             let blobs = LocalBlobs::open(&folder.blobs())?;
             Ok::<_, JobError>((folder, blobs))
         })

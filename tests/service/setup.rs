@@ -1,9 +1,9 @@
 //! Starting and not starting.
 
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use crate::meshes;
-use crate::service::{Service, command};
+use crate::service::{Service, command, without_settings};
 
 /// Runs a service that must not start; what it says on stderr.
 fn refused(mut command: Command) -> String {
@@ -76,4 +76,38 @@ async fn the_health_command_asks_the_service() {
     let output = health(&address);
     assert_eq!(output.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&output.stderr).contains(&address));
+}
+
+/// The database holds names of files, which are patient data.
+#[cfg(unix)]
+#[tokio::test]
+async fn nobody_else_reads_what_the_service_keeps() {
+    use std::os::unix::fs::{MetadataExt, PermissionsExt};
+
+    let parent = std::sync::Arc::new(tempfile::tempdir().unwrap());
+    let data = parent.path().join("data");
+    // Whatever the user's umask is; the folders of both are new.
+    let mut shell = Command::new("sh");
+    shell.args(["-c", "umask 000; exec \"$0\" serve --listen 127.0.0.1:0", env!("CARGO_BIN_EXE_rosaline")]);
+    without_settings(&mut shell);
+    shell.env("ROSALINE_DATA", &data).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let service = Service::try_start(&mut shell, parent.clone()).unwrap();
+    let job = service.accepted("?name=doe_jane.stl", meshes::small()).await;
+    service.ended(&job).await;
+    let mode = |name: &str| std::fs::metadata(data.join(name)).unwrap().mode() & 0o777;
+    assert_eq!(mode(""), 0o700);
+    let names = ["jobs.sqlite", "jobs.sqlite-wal", "jobs.sqlite-shm"];
+    for name in names.into_iter().chain(["audit.jsonl"]) {
+        assert_eq!(mode(name), 0o600, "{name}");
+    }
+    // One of a version that left it open; killed, so that its log is there.
+    drop(service);
+    for name in names {
+        std::fs::set_permissions(data.join(name), PermissionsExt::from_mode(0o644)).unwrap();
+    }
+    let service = Service::start_on(parent, &["--data", data.to_str().unwrap()]);
+    assert_eq!(service.status(&job).await["status"], "successful");
+    for name in names {
+        assert_eq!(mode(name), 0o600, "{name}");
+    }
 }
