@@ -32,6 +32,7 @@ mod triangle_grid;
 pub use control::{CancelToken, Control, Part, Progress, Stage};
 pub use error::ExtractError;
 pub use graph::{Branch, Centerline, Extraction, Node, NodeKind, SurfaceSummary, Warning};
+pub(crate) use parameters::shown;
 pub use parameters::{
     FARTHEST, POINTS, ParameterError, ParameterKind, ParameterSpec, Parameters, PointsSpec, Preset, TABLE,
 };

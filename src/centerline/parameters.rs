@@ -34,7 +34,7 @@ impl fmt::Display for Preset {
 }
 
 /// Enough of what was given to find it by.
-fn shown(text: &str) -> String {
+pub(crate) fn shown(text: &str) -> String {
     text.chars().take(40).collect()
 }
 

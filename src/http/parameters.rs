@@ -11,7 +11,7 @@ use serde_json::error::Category;
 
 use super::limits::Limits;
 use super::problem::{INVALID_PARAMETER, MALFORMED_REQUEST, Problem, UNKNOWN_PARAMETER};
-use crate::centerline::{POINTS, ParameterError, ParameterKind, Parameters, Preset, TABLE};
+use crate::centerline::{POINTS, ParameterError, ParameterKind, Parameters, Preset, TABLE, shown};
 use crate::jobs::{FileName, Priority};
 use crate::mesh::Units;
 
@@ -215,11 +215,6 @@ fn word<T: FromStr<Err: ToString> + Default>(name: &str, text: Option<&str>) -> 
     })
 }
 
-/// Enough of a name to find it by.
-fn shown(name: &str) -> String {
-    name.chars().take(40).collect()
-}
-
 fn invalid(name: &str, detail: String) -> Problem {
     Problem::new(&INVALID_PARAMETER, detail).with("parameter", shown(name))
 }
@@ -282,13 +277,13 @@ mod tests {
         let query = pairs(&[("include", "1,2,3"), ("root", "0,0,0"), ("include", "-4,5e1,6")]).unwrap();
         assert_eq!(query.parameters.include().len(), 2);
         let json = br#"{"include": ["1,2,3", "-4,5e1,6"], "root": "0,0,0"}"#;
-            (vec![("include", "1e308,0,0")], "include"),
-            (vec![("root", "0,0,-1.1e30")], "root"),
         assert_eq!(Asked::from_pairs(&json_pairs(json).unwrap(), &Limits::default()).unwrap(), query);
         for (list, name) in [
             (vec![("root", "0,0,0"), ("root", "1,1,1")], "root"),
             (vec![("exclude", "1,2")], "exclude"),
             (vec![("include", "1,2,inf")], "include"),
+            (vec![("include", "1e308,0,0")], "include"),
+            (vec![("root", "0,0,-1.1e30")], "root"),
         ] {
             assert_eq!(pairs(&list).unwrap_err()["parameter"], name);
         }

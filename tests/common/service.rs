@@ -77,6 +77,10 @@ impl Service {
         Ok(Self { child, url, client, log, data })
     }
 
+    #[cfg_attr(
+        not(debug_assertions),
+        allow(dead_code, reason = "only the tests of faults ask, which need a debug build")
+    )]
     pub fn has_ended(&mut self) -> bool {
         self.child.try_wait().unwrap().is_some()
     }
@@ -231,6 +235,10 @@ impl Service {
     }
 
     /// How many files there are, once there are as many as should be, or after a while.
+    #[cfg_attr(
+        not(debug_assertions),
+        allow(dead_code, reason = "only the tests of faults ask, which need a debug build")
+    )]
     pub async fn settled_files(&self, expected: usize) -> usize {
         let begin = Instant::now();
         while self.files().len() != expected && begin.elapsed() < Duration::from_secs(5) {

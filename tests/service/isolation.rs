@@ -130,11 +130,22 @@ async fn a_process_takes_one_run_after_the_other_and_ends_when_there_is_none() {
 #[tokio::test]
 async fn a_process_that_dies_at_rest_is_no_crash_of_the_next_job() {
     let service = Service::start(&["--workers", "1", "--max-crashes", "1"]);
+    let mut killed = Vec::new();
     for _ in 0..3 {
         let job = service.accepted("", meshes::small()).await;
         assert_eq!(service.ended(&job).await["status"], "successful", "{}", service.log());
-        signal_run(&service, "-KILL", None).await;
+        // It waits for the next job when it dies, which is offered to it then.
+        let metrics = service.get("/metrics").send().await.unwrap().text().await.unwrap();
+        assert!(metrics.contains("\nrosaline_run_processes_resting 1\n"), "{metrics}");
+        killed.push(signal_run(&service, "-KILL", None).await);
+        let metrics = service.get("/metrics").send().await.unwrap().text().await.unwrap();
+        assert!(
+            metrics.contains("\nrosaline_run_processes_resting 1\n"),
+            "nobody has seen that it died: {metrics}"
+        );
     }
+    killed.dedup();
+    assert_eq!(killed.len(), 3, "each job had a process of its own");
 }
 
 #[tokio::test]

@@ -259,25 +259,43 @@ async fn keys_at_a_url_are_fetched_again_for_an_unknown_one_but_not_at_will() {
 
 #[tokio::test]
 async fn clients_that_hang_up_make_the_service_ask_its_issuer_no_oftener() {
-    // It takes connections and answers none.
-    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-    let service = Service::start(&arguments(&format!("http://{}/keys", listener.local_addr().unwrap())));
+    let signer = Signer::new("one", Algorithm::ES256);
+    // The first that asks, the service itself at its start, gets another key at once; those after it this one, so late that
+    // no client waits for it.
     let asked = Arc::new(AtomicUsize::new(0));
-    let count = asked.clone();
-    tokio::spawn(async move {
-        let mut open = Vec::new();
-        while let Ok((socket, _)) = listener.accept().await {
-            count.fetch_add(1, Ordering::SeqCst);
-            open.push(socket);
+    let (count, other) = (asked.clone(), set(&[&Signer::new("other", Algorithm::ES256)]));
+    let wanted = set(&[&signer]);
+    let keys = axum::routing::get(async move || {
+        if count.fetch_add(1, Ordering::SeqCst) == 0 {
+            return other;
         }
+        tokio::time::sleep(Duration::from_millis(300)).await;
+        wanted
     });
-    let token = Signer::new("one", Algorithm::ES256).sign(&claims("anna", "read"));
-    let begin = Instant::now();
-    for _ in 0..40 {
-        let request = service.get("/v1/jobs").bearer_auth(&token).timeout(Duration::from_millis(100));
-        assert!(request.send().await.is_err(), "it waits for the issuer");
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let url = format!("http://{}/keys", listener.local_addr().unwrap());
+    tokio::spawn(async move { axum::serve(listener, axum::Router::new().route("/keys", keys)).await });
+    let service = Service::start(&arguments(&url));
+    while asked.load(Ordering::SeqCst) == 0 {
+        tokio::time::sleep(Duration::from_millis(5)).await;
     }
-    // One for each five seconds that this took, and those of the service's own accord.
+    // Of a key that the issuer never gives: each of these would ask again if it could.
+    let unknown = Signer::new("none", Algorithm::ES256).sign(&claims("anna", "read"));
+    let begin = Instant::now();
+    let hang_up = async || {
+        let request = service.get("/v1/jobs").bearer_auth(&unknown).timeout(Duration::from_millis(50));
+        request.send().await.is_err()
+    };
+    assert!(hang_up().await, "it waits for the issuer");
+    // The client has gone; what it began brings the keys all the same, and nobody has to ask for them again.
+    let token = signer.sign(&claims("anna", "read"));
+    assert_eq!(list(&service, &token).await.status(), 200);
+    assert_eq!(asked.load(Ordering::SeqCst), 2);
+    while begin.elapsed() < Duration::from_secs(3) {
+        hang_up().await;
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    // One for each five seconds that this took.
     let most = 2 + usize::try_from(begin.elapsed().as_secs() / 5).unwrap();
     let asked = asked.load(Ordering::SeqCst);
     assert!(asked <= most, "{asked} times in {:?}", begin.elapsed());
