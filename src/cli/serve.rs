@@ -156,8 +156,7 @@ fn webhook_settings(args: &Args) -> webhooks::Settings {
 }
 
 fn mesh_limits(args: &Args) -> mesh::format::Limits {
-    let triangles = args.max_triangles.get();
-    mesh::format::Limits { triangles, vertices: triangles.div_ceil(2), ..Default::default() }
+    mesh::format::Limits::of_triangles(args.max_triangles.get())
 }
 
 pub(super) fn settings(args: &Args) -> Result<Settings, TooManyWorkers> {

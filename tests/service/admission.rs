@@ -136,3 +136,16 @@ async fn a_job_that_takes_too_long_fails_and_frees_its_worker() {
     let next = service.accepted("", meshes::stl(&meshes::tube(8, 6))).await;
     assert_ne!(service.ended(&next).await["error"]["type"], "urn:rosaline:problem:time-limit");
 }
+
+/// Also a closed surface, which has two vertices more than half its triangles, and an open one, which has more.
+#[tokio::test]
+async fn a_mesh_of_as_many_triangles_as_there_may_be_is_taken() {
+    for mesh in [meshes::ball(), meshes::small()] {
+        let triangles = (mesh.len() - 84) / 50;
+        let service = Service::start(&["--max-triangles", &triangles.to_string()]);
+        service.accepted("", mesh.clone()).await;
+        let service = Service::start(&["--max-triangles", &(triangles - 1).to_string()]);
+        let body = problem(service.submit("", mesh).await, 413, "too-large").await;
+        assert!(body["detail"].as_str().unwrap().contains("triangles"), "{body}");
+    }
+}

@@ -37,7 +37,7 @@ pub struct Args {
     /// Largest mesh, in bytes or with KiB, MiB or GiB.
     #[arg(long, env = "ROSALINE_MAX_UPLOAD", default_value = "1GiB", value_name = "SIZE")]
     pub max_upload: Size,
-    /// Triangles of the largest mesh; it may have half as many vertices. They bound the memory of a check.
+    /// Triangles of the largest mesh; it may have half as many vertices and one in a hundred more. They bound the memory of a check.
     #[arg(long, env = "ROSALINE_MAX_TRIANGLES", default_value = "40000000", value_name = "N")]
     pub max_triangles: NonZeroUsize,
     /// Uploads that are read and checked at the same time; each takes its file's size and its mesh in memory.
@@ -85,13 +85,13 @@ pub struct Args {
     /// Memory that one run of a job may have, beside its threads' stacks; one that needs more is failed.
     #[arg(long, env = "ROSALINE_MAX_MEMORY", default_value = "4GiB", value_name = "SIZE", value_parser = memory)]
     pub max_memory: Size,
+    /// Room on the data folder's disk below which /readyz says that the service is not ready.
+    #[arg(long, env = "ROSALINE_MIN_FREE", default_value = "64MiB", value_name = "SIZE")]
+    pub min_free: Size,
     /// How long an ended job's mesh is kept, 0 for not at all [default: as long as the job].
     #[arg(long, env = "ROSALINE_KEEP_INPUT", value_name = "TIME")]
     pub keep_input: Option<Span>,
     /// How long an ended job and its results are kept [default: until they are deleted].
-    /// Room on the data folder's disk below which /readyz says that the service is not ready.
-    #[arg(long, env = "ROSALINE_MIN_FREE", default_value = "64MiB", value_name = "SIZE")]
-    pub min_free: Size,
     #[arg(long, env = "ROSALINE_KEEP_JOBS", value_name = "TIME")]
     pub keep_jobs: Option<Span>,
     /// How long an upload may stand still, in seconds or with s or m, before it is given up.

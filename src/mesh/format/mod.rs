@@ -119,10 +119,19 @@ impl Limits {
     }
 }
 
+impl Limits {
+    /// For surfaces of so many triangles. A closed one without a handle has half as many vertices and two more; each
+    /// further part brings two, and open ends half as many as their rims have edges: one in a hundred is room for those.
+    pub const fn of_triangles(triangles: usize) -> Self {
+        let vertices = triangles.div_ceil(2).saturating_add(triangles.div_ceil(100)).saturating_add(2);
+        Limits { vertices, triangles, decoded_bytes: 2 << 30, expansion: 50 }
+    }
+}
+
 impl Default for Limits {
-    /// 20 million vertices, 40 million triangles, 2 GiB decoded, 50 times the file.
+    /// 40 million triangles, 2 GiB decoded, 50 times the file.
     fn default() -> Self {
-        Limits { vertices: 20_000_000, triangles: 40_000_000, decoded_bytes: 2 << 30, expansion: 50 }
+        Self::of_triangles(40_000_000)
     }
 }
 
