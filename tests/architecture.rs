@@ -19,7 +19,7 @@ const MAY_KNOW: [(&str, &[&str]); 9] = [
 ];
 
 /// Crates (and parts of std) with the only rooms that may name them.
-const ONLY_IN: [(&str, &[&str]); 27] = [
+const ONLY_IN: [(&str, &[&str]); 28] = [
     ("zstd", &["jobs"]),
     ("axum", &["http"]),
     ("tower", &["http"]),
@@ -40,6 +40,7 @@ const ONLY_IN: [(&str, &[&str]); 27] = [
     ("opentelemetry_sdk", &["jobs", "cli"]),
     ("opentelemetry_otlp", &["cli"]),
     ("clap", &["cli"]),
+    ("toml", &["cli"]),
     ("indicatif", &["cli"]),
     // The library has no I/O, no clock and no settings of its own.
     ("std::fs", &["jobs", "outbound", "http", "cli"]),

@@ -1,6 +1,7 @@
 //! The command line: one module a subcommand.
 
 mod compare;
+mod config;
 mod doctor;
 mod extract;
 mod files;
@@ -15,10 +16,13 @@ mod webhooks;
 mod work;
 
 use std::error::Error;
+use std::ffi::OsString;
 use std::io::Write;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+
+use config::Config;
 
 /// Centerlines of blood vessels from their surface meshes.
 #[derive(Debug, Parser)]
@@ -31,7 +35,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Run the HTTP service, with its store and workers in this one process.
-    Serve(Box<serve::Args>),
+    Serve(Box<serve::Service>),
     /// Extract the centerline of one mesh.
     Extract(extract::Args),
     /// Measure how far a centerline is from the true one.
@@ -84,11 +88,7 @@ impl<E: Error> From<E> for Failure {
 ///
 /// Exit codes: 0 done, 1 not done, wrong arguments included.
 pub fn main() -> ExitCode {
-    let outcome = match Cli::try_parse() {
-        Ok(cli) => run(cli),
-        Err(error) => misused(&error).map_or(Ok(()), Err),
-    };
-    match outcome {
+    match asked(std::env::args_os().collect()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(Failure(message)) => {
             let line = message.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -99,9 +99,29 @@ pub fn main() -> ExitCode {
     }
 }
 
+/// Does what the arguments ask for, with what a configuration file says besides.
+fn asked(arguments: Vec<OsString>) -> Result<(), Failure> {
+    let command = Cli::command();
+    let config = Config::of(&command, &arguments)?;
+    let all = config.added_to(&command, arguments.clone());
+    let parsed = command
+        .clone()
+        .try_get_matches_from(all)
+        .and_then(|matches| Ok((Cli::from_arg_matches(&matches)?, matches)));
+    match parsed {
+        Ok((Cli { command: Command::Serve(service) }, matches)) if service.print_config => {
+            let matches = matches.subcommand().map_or(&matches, |(_, matches)| matches);
+            std::io::stdout().write_all(config.in_force(&command, &arguments, matches).as_bytes())?;
+            Ok(())
+        }
+        Ok((cli, _)) => run(cli),
+        Err(error) => misused(&error, config.place_of(&error)).map_or(Ok(()), Err),
+    }
+}
+
 fn run(cli: Cli) -> Result<(), Failure> {
     match cli.command {
-        Command::Serve(args) => serve::run(*args),
+        Command::Serve(service) => serve::run(service.args),
         Command::Extract(args) => extract::run(args),
         Command::Compare(args) => compare::run(args),
         Command::Phantom(args) => phantom::run(args),
@@ -115,8 +135,8 @@ fn run(cli: Cli) -> Result<(), Failure> {
 }
 
 /// What is wrong with the arguments, without clap's usage and hints for people; help and version, which are
-/// no failures to clap's callers, are printed.
-fn misused(error: &clap::Error) -> Option<Failure> {
+/// no failures to clap's callers, are printed. `place`: where in a configuration file it stands.
+fn misused(error: &clap::Error, place: Option<String>) -> Option<Failure> {
     use clap::error::ErrorKind::{DisplayHelp, DisplayHelpOnMissingArgumentOrSubcommand, DisplayVersion};
     match error.kind() {
         DisplayHelp | DisplayVersion => {
@@ -132,17 +152,18 @@ fn misused(error: &clap::Error) -> Option<Failure> {
             let end =
                 ["\n\nUsage:", "\n\nFor more information"].iter().filter_map(|mark| text.find(mark)).min();
             let what = text[..end.unwrap_or(text.len())].trim_start_matches("error: ").trim();
-            Some(Failure::new(format!("{what}; --help lists what can be given")))
+            let place = place.map_or(String::new(), |place| format!("{place}: "));
+            Some(Failure::new(format!("{place}{what}; --help lists what can be given")))
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
+    use super::*;
 
     #[test]
     fn the_arguments_are_consistent() {
-        super::Cli::command().debug_assert();
+        Cli::command().debug_assert();
     }
 }

@@ -24,7 +24,7 @@ use crate::mesh;
 use crate::outbound::webhooks::{self, Schedule, TargetFile};
 
 use args::LogFormat;
-pub use args::{Args, Span};
+pub use args::{Args, Service, Span};
 use otlp::Exporter;
 
 /// Threads that write, sync and read files, at most: enough that syncs go to the disk together. Each keeps about a MiB.

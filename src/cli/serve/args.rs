@@ -1,4 +1,4 @@
-//! The service's settings: flags, or environment variables of the same name.
+//! The service's settings: flags, environment variables of the same name, or a configuration file.
 
 use std::num::{NonZeroU32, NonZeroU64, NonZeroUsize};
 use std::path::PathBuf;
@@ -9,7 +9,19 @@ use crate::http::access::JwksSource;
 use crate::jobs::MAX_CRASHES;
 
 #[derive(Debug, clap::Args)]
+pub struct Service {
+    #[command(flatten)]
+    pub args: Args,
+    /// Print every setting in force with where it comes from, as a configuration file, and end.
+    #[arg(long)]
+    pub print_config: bool,
+}
+
+#[derive(Debug, clap::Args)]
 pub struct Args {
+    /// Configuration file in TOML: its keys are the names of the flags below. Flags and variables go before it.
+    #[arg(long, env = "ROSALINE_CONFIG", value_name = "FILE")]
+    pub config: Option<PathBuf>,
     /// Address to listen on; port 0 takes a free one.
     #[arg(long, env = "ROSALINE_LISTEN", default_value = "127.0.0.1:8080", value_name = "HOST:PORT")]
     pub listen: String,

@@ -1,0 +1,200 @@
+//! The configuration file of `serve` and `doctor`: TOML, whose keys are the names of flags.
+//!
+//! What it says goes before clap as further flags, where neither a flag nor a variable says it already. So a value is read
+//! by the flag's own rules, and what belongs together is wanted together wherever each part stands.
+
+use std::ffi::{OsStr, OsString};
+use std::fs;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use clap::error::{ContextKind, ContextValue};
+use clap::parser::ValueSource;
+use clap::{Arg, ArgAction, ArgMatches, Command};
+use toml::de::{DeTable, DeValue};
+
+/// The subcommands that take a file, the flag that names it, and its variable.
+const SUBCOMMANDS: [&str; 2] = ["serve", "doctor"];
+const FLAG: &str = "config";
+const VARIABLE: &str = "ROSALINE_CONFIG";
+/// Flags that are asked of one run, not set: no keys of a file.
+const NO_KEYS: [&str; 4] = [FLAG, "print-config", "help", "version"];
+
+/// What is wrong with the file.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum ConfigError {
+    #[error("the configuration file {path} cannot be read: {source}; give another with --config")]
+    Io { path: String, source: std::io::Error },
+    #[error("{path}, line {line}: this is no TOML: {what}")]
+    Syntax { path: String, line: usize, what: String },
+    #[error(
+        "{path}, line {line}: there is no setting '{key}'; 'rosaline serve --print-config' lists them, with their values"
+    )]
+    Unknown { path: String, line: usize, key: String },
+    #[error("{path}, line {line}: '{key}' is {expected}")]
+    Kind { path: String, line: usize, key: String, expected: &'static str },
+}
+
+/// What a file says.
+#[derive(Debug, Default)]
+pub(super) struct Config {
+    path: PathBuf,
+    settings: Vec<Setting>,
+}
+
+#[derive(Debug)]
+struct Setting {
+    key: String,
+    line: usize,
+    /// `None`: a flag without a value, which is not to be given.
+    flag: Option<OsString>,
+}
+
+impl Config {
+    /// The file that these arguments, or the environment, name for one of `command`'s subcommands; an empty one where they
+    /// name none.
+    ///
+    /// # Errors
+    /// [`ConfigError`], with the line.
+    pub(super) fn of(command: &Command, arguments: &[OsString]) -> Result<Self, ConfigError> {
+        let Some(subcommand) = subcommand(command, arguments) else { return Ok(Self::default()) };
+        let asks = |flag: &str| arguments.iter().any(|argument| argument == flag);
+        let named = value_of(arguments).or_else(|| std::env::var_os(VARIABLE));
+        match named {
+            Some(path) if !asks("--help") && !asks("-h") => Self::read(Path::new(&path), subcommand),
+            _ => Ok(Self::default()),
+        }
+    }
+
+    fn read(path: &Path, subcommand: &Command) -> Result<Self, ConfigError> {
+        let shown = path.display().to_string();
+        let text =
+            fs::read_to_string(path).map_err(|source| ConfigError::Io { path: shown.clone(), source })?;
+        let line =
+            |place: Range<usize>| 1 + text.bytes().take(place.start).filter(|&byte| byte == b'\n').count();
+        let table = DeTable::parse(&text).map_err(|error| ConfigError::Syntax {
+            path: shown.clone(),
+            line: line(error.span().unwrap_or_default()),
+            what: error.message().to_owned(),
+        })?;
+        let mut settings = Vec::new();
+        for (name, value) in table.into_inner() {
+            let (line, key) = (line(name.span()), name.into_inner().into_owned());
+            let known = keys(subcommand).find(|arg| arg.get_long() == Some(&key));
+            let Some(arg) = known else { return Err(ConfigError::Unknown { path: shown, line, key }) };
+            let flag = flag(arg, &key, value.get_ref());
+            let flag = flag.map_err(|expected| ConfigError::Kind {
+                path: shown.clone(),
+                line,
+                key: key.clone(),
+                expected,
+            })?;
+            settings.push(Setting { key, line, flag });
+        }
+        Ok(Self { path: path.to_owned(), settings })
+    }
+
+    /// The arguments, and those of the file that nobody has given otherwise.
+    pub(super) fn added_to(&self, command: &Command, mut arguments: Vec<OsString>) -> Vec<OsString> {
+        let Some(subcommand) = subcommand(command, &arguments) else { return arguments };
+        let is_set = |setting: &&Setting| {
+            let arg = keys(subcommand).find(|arg| arg.get_long() == Some(&setting.key));
+            let variable = arg.and_then(Arg::get_env);
+            variable.is_some_and(|name| std::env::var_os(name).is_some())
+                || arguments.iter().any(|argument| is_of(argument, &setting.key))
+        };
+        let further: Vec<OsString> = self
+            .settings
+            .iter()
+            .filter(|setting| !is_set(setting))
+            .filter_map(|setting| setting.flag.clone())
+            .collect();
+        arguments.extend(further);
+        arguments
+    }
+
+    /// Where in the file stands what clap refuses, if that is where it comes from.
+    pub(super) fn place_of(&self, error: &clap::Error) -> Option<String> {
+        let Some(ContextValue::String(named)) = error.get(ContextKind::InvalidArg) else { return None };
+        let named = named.split(' ').next()?.strip_prefix("--")?;
+        let setting = self.settings.iter().find(|setting| setting.key == named)?;
+        Some(format!("{}, line {}", self.path.display(), setting.line))
+    }
+
+    fn sets(&self, key: &str) -> bool {
+        self.settings.iter().any(|setting| setting.key == key)
+    }
+
+    /// Every setting in force as a line of such a file, with where it comes from; those that nothing sets as remarks.
+    pub(super) fn in_force(&self, command: &Command, arguments: &[OsString], matches: &ArgMatches) -> String {
+        let mut text = String::new();
+        for arg in subcommand(command, arguments).into_iter().flat_map(keys) {
+            let (id, key) = (arg.get_id().as_str(), arg.get_long().unwrap_or_default());
+            let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
+            let given = arguments.iter().any(|argument| is_of(argument, key));
+            let source = match matches.value_source(id) {
+                Some(ValueSource::CommandLine) if given || !self.sets(key) => "flag",
+                Some(ValueSource::CommandLine) => "file",
+                Some(ValueSource::EnvVariable) => "variable",
+                _ => "default",
+            };
+            let values = matches.get_raw(id).into_iter().flatten();
+            let value = values.map(|value| quoted(arg, &value.to_string_lossy())).next();
+            text += &match value {
+                Some(value) => format!("# {help} ({source})\n{key} = {value}\n"),
+                None => format!("# {help}\n# {key} =\n"),
+            };
+        }
+        text
+    }
+}
+
+/// The subcommand that is asked for, where it takes a file.
+fn subcommand<'c>(command: &'c Command, arguments: &[OsString]) -> Option<&'c Command> {
+    let name = arguments.get(1)?.to_str()?;
+    SUBCOMMANDS.contains(&name).then(|| command.find_subcommand(name))?
+}
+
+/// The flags that are keys of a file.
+fn keys(subcommand: &Command) -> impl Iterator<Item = &Arg> {
+    subcommand.get_arguments().filter(|arg| arg.get_long().is_some_and(|long| !NO_KEYS.contains(&long)))
+}
+
+/// Whether an argument is this flag, with its value behind it or in it.
+fn is_of(argument: &OsStr, key: &str) -> bool {
+    let text = argument.to_string_lossy();
+    text.strip_prefix("--").is_some_and(|rest| rest.split('=').next() == Some(key))
+}
+
+/// The value of [`FLAG`] among the arguments.
+fn value_of(arguments: &[OsString]) -> Option<OsString> {
+    let place = arguments.iter().position(|argument| is_of(argument, FLAG))?;
+    let text = arguments[place].to_string_lossy();
+    match text.split_once('=') {
+        Some((_, value)) => Some(value.into()),
+        None => arguments.get(place + 1).cloned(),
+    }
+}
+
+/// A setting as the flag that says the same; the error is what its value should be.
+fn flag(arg: &Arg, key: &str, value: &DeValue<'_>) -> Result<Option<OsString>, &'static str> {
+    let is_switch = matches!(arg.get_action(), ArgAction::SetTrue);
+    match (is_switch, value) {
+        (true, DeValue::Boolean(given)) => Ok(given.then(|| format!("--{key}").into())),
+        (true, _) => Err("true or false"),
+        (false, DeValue::String(text)) => Ok(Some(format!("--{key}={text}").into())),
+        (false, DeValue::Integer(number)) if number.radix() == 10 => {
+            Ok(Some(format!("--{key}={number}").into()))
+        }
+        (false, _) => Err("a text in quotes, or a whole number"),
+    }
+}
+
+/// A value as TOML has it.
+fn quoted(arg: &Arg, value: &str) -> String {
+    if matches!(arg.get_action(), ArgAction::SetTrue) || value.parse::<u64>().is_ok() {
+        return value.to_owned();
+    }
+    // TOML's basic strings have JSON's escapes.
+    serde_json::Value::from(value).to_string()
+}

@@ -1,0 +1,142 @@
+//! The configuration file of `rosaline serve` and `rosaline doctor`.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+#[path = "common/service.rs"]
+#[allow(dead_code, reason = "shared with the tests of the service, which use all of it")]
+mod service;
+
+use std::path::Path;
+use std::process::{Command, Output};
+use std::sync::Arc;
+
+use serde_json::Value;
+use service::{Service, without_settings};
+
+fn rosaline(words: &[&str], variables: &[(&str, &str)]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+    without_settings(&mut command);
+    command.args(words).envs(variables.iter().copied()).output().unwrap()
+}
+
+/// The settings in force, as they are printed.
+fn printed(words: &[&str], variables: &[(&str, &str)]) -> String {
+    let output = rosaline(&[&["serve", "--print-config"], words].concat(), variables);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn file(text: &str) -> (tempfile::TempDir, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rosaline.toml");
+    std::fs::write(&path, text).unwrap();
+    let path = path.to_str().unwrap().to_owned();
+    (folder, path)
+}
+
+/// The keys and values of a file, those in remarks left out.
+fn settings(text: &str) -> Vec<&str> {
+    text.lines().filter(|line| !line.starts_with('#') && !line.is_empty()).collect()
+}
+
+#[tokio::test]
+async fn a_service_has_the_limits_of_its_file() {
+    let (_folder, path) = file("max-upload = 4096\nmax-queue = 7\nmax-run = \"2m\"\nlog-format = 'json'\n");
+    let data = Arc::new(tempfile::tempdir().unwrap());
+    for (words, variables) in [
+        (vec!["--config", path.as_str()], vec![]),
+        (vec![], vec![("ROSALINE_CONFIG", Path::new(path.as_str()))]),
+    ] {
+        let service = Service::start_in(data.clone(), &words, &variables);
+        let limits: Value = service.get("/v1/limits").send().await.unwrap().json().await.unwrap();
+        let found = ["upload_bytes", "queue", "run_seconds", "uploads"].map(|name| limits[name].clone());
+        assert_eq!(found, [4096, 7, 120, 256].map(Value::from));
+        assert!(service.log().lines().all(|line| line.starts_with('{')), "{}", service.log());
+    }
+}
+
+#[test]
+fn flags_go_before_variables_and_both_before_the_file() {
+    let (_folder, path) =
+        file("max-queue = 1\nmax-uploads = 1\nmax-jobs-each = 1\ninsecure = true\ngrace = \"9s\"\n");
+    let words = ["--config", &path, "--max-queue", "3", "--grace=5s"];
+    let text = printed(&words, &[("ROSALINE_MAX_QUEUE", "2"), ("ROSALINE_MAX_UPLOADS", "2")]);
+    for (line, source) in [
+        ("max-queue = 3", "flag"),
+        ("grace = \"5s\"", "flag"),
+        ("max-uploads = 2", "variable"),
+        ("max-jobs-each = 1", "file"),
+        ("insecure = true", "file"),
+        ("validations = 2", "default"),
+    ] {
+        let place = text.find(&format!("\n{line}\n")).unwrap_or_else(|| panic!("{line}: {text}"));
+        assert!(text[..place].ends_with(&format!("({source})")), "{line}: {text}");
+    }
+    // What is printed is such a file, and says the same.
+    let (_folder, again) = file(&text);
+    assert_eq!(settings(&printed(&["--config", &again], &[])), settings(&text));
+}
+
+#[test]
+fn what_is_wrong_in_a_file_is_told_with_its_line() {
+    for (text, line, what) in [
+        ("workers = 2\n\nmax-uplaod = \"1GiB\"\n", 3, "there is no setting 'max-uplaod'"),
+        ("[limits]\nmax-upload = \"1GiB\"\n", 1, "there is no setting 'limits'"),
+        ("config = \"other.toml\"\n", 1, "there is no setting 'config'"),
+        ("print-config = true\n", 1, "there is no setting 'print-config'"),
+        ("workers = 2\nmax-upload = \"1 apple\"\n", 2, "a size is a whole number"),
+        ("workers = 0\n", 1, "--workers"),
+        ("workers = -1\n", 1, "--workers"),
+        ("workers = 1.5\n", 1, "'workers' is a text in quotes, or a whole number"),
+        ("# the first\ninsecure = \"yes\"\n", 2, "'insecure' is true or false"),
+        ("workers = 1\nworkers = 2\n", 2, "duplicate key"),
+        ("workers = 1\nlisten =\n", 2, "no TOML"),
+    ] {
+        let (_folder, path) = file(text);
+        for subcommand in ["serve", "doctor"] {
+            let output = rosaline(&[subcommand, "--config", &path], &[]);
+            let said = String::from_utf8(output.stderr).unwrap();
+            assert_eq!((output.status.code(), said.lines().count()), (Some(1), 1), "{text}: {said}");
+            assert!(
+                said.contains(&format!("rosaline.toml, line {line}: ")) && said.contains(what),
+                "{text}: {said}"
+            );
+        }
+    }
+    let output = rosaline(&["serve", "--config", "/nowhere/rosaline.toml"], &[]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("/nowhere/rosaline.toml cannot be read"), "{said}");
+}
+
+/// Half of a pair must not be passed over: a service would speak without TLS.
+#[test]
+fn what_belongs_together_is_wanted_together() {
+    for (text, missing) in
+        [("tls-cert = \"cert.pem\"\n", "--tls-key"), ("jwt-issuer = \"https://a.example\"\n", "--jwks")]
+    {
+        let (_folder, path) = file(text);
+        let output = rosaline(&["serve", "--print-config", "--config", &path], &[]);
+        assert!(
+            !output.status.success() && String::from_utf8_lossy(&output.stderr).contains(missing),
+            "{text}"
+        );
+    }
+    let (_folder, path) = file("tls-cert = \"cert.pem\"\n");
+    let text = printed(&["--config", &path, "--tls-key", "key.pem"], &[]);
+    assert!(
+        text.contains("\ntls-cert = \"cert.pem\"\n") && text.contains("\ntls-key = \"key.pem\"\n"),
+        "{text}"
+    );
+}
+
+#[test]
+fn the_documents_example_is_taken_as_it_is() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/rosaline.toml");
+    let text = printed(&["--config", path.to_str().unwrap()], &[]);
+    let example = std::fs::read_to_string(&path).unwrap();
+    let example = settings(&example);
+    assert!(example.len() > 15, "{example:?}");
+    for line in example {
+        let line = line.replace('_', "");
+        assert!(text.lines().any(|printed| printed.replace('_', "") == line), "{line}: {text}");
+    }
+}
