@@ -4,6 +4,7 @@ use std::io::Write;
 
 use flate2::Compression;
 use flate2::write::{GzEncoder, ZlibEncoder};
+use rosaline::mesh::format::Limits;
 use serde_json::Value;
 
 use crate::meshes;
@@ -84,12 +85,13 @@ async fn the_worst_meshes_take_no_more_than_the_doctor_counts() {
     const TRIANGLES: usize = 400_000;
     let most = TRIANGLES.to_string();
     let limit = ["--max-triangles", &most, "--validations", "1", "--workers", "1", "--threads", "1"];
+    let most_vertices = Limits::of_triangles(TRIANGLES).vertices;
     let vertices: String =
-        (0..TRIANGLES / 2).map(|place| format!("v {} {} 0\n", place % 2, place / 2)).collect();
+        (0..most_vertices).map(|place| format!("v {} {} 0\n", place % 2, place / 2)).collect();
     let dense = |triangles: usize| format!("{vertices}{}", "f 1 2 3\n".repeat(triangles)).into_bytes();
     // As many triangles that share no vertex as there may be vertices for.
-    let mut soup = [&[0; 80][..], &u32::try_from(TRIANGLES / 6).unwrap().to_le_bytes()].concat();
-    for place in 0..TRIANGLES / 6 {
+    let mut soup = [&[0; 80][..], &u32::try_from(most_vertices / 3).unwrap().to_le_bytes()].concat();
+    for place in 0..most_vertices / 3 {
         let x = place as f32;
         let corners = [[x, 0.0, 0.0], [x, 1.0, 0.0], [x, 0.0, 1.0]];
         soup.extend(
@@ -110,6 +112,6 @@ async fn the_worst_meshes_take_no_more_than_the_doctor_counts() {
     }
     let service = Service::start(&limit);
     let limits: Value = service.get("/v1/limits").send().await.unwrap().json().await.unwrap();
-    assert_eq!((&limits["triangles"], &limits["vertices"]), (&TRIANGLES.into(), &(TRIANGLES / 2).into()));
+    assert_eq!((&limits["triangles"], &limits["vertices"]), (&TRIANGLES.into(), &most_vertices.into()));
     problem(service.submit("", dense(TRIANGLES + 1)).await, 413, "too-large").await;
 }
