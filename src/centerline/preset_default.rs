@@ -3,25 +3,22 @@
 //! Tips and segmentation come from the Reeb graph of a geodesic distance, centerline points from
 //! closed sections, joints from the branches' own continuation. `docs/method.md` has the reasons.
 
-use nalgebra::Point3;
 use rayon::prelude::*;
 
 use crate::mesh::preparation::{Opening, Surface};
 
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::connection::network::Network;
-use crate::centerline::connection::subsampling::{Anchor, settle_radii};
 use crate::centerline::connection::unsupported;
-use crate::centerline::cut_plane::bulges::{at_wall, line_through, round_bulge};
-use crate::centerline::cut_plane::cross_sections::{judge_outward, recut, settle};
+use crate::centerline::cut_plane::bulges::{at_wall, round_bulge};
+use crate::centerline::cut_plane::cross_sections::{judge_outward, settle};
 use crate::centerline::cut_plane::march::{Toward, close_ring, fill_gaps, march};
 use crate::centerline::cut_plane::ownership::{Wall, owners};
-use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, observe, smooth, smooth_ring};
-use crate::centerline::recentering::approach::{Approach, run_up};
+use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, observe, smooth};
 use crate::centerline::recentering::displaced::settle_displaced;
-use crate::centerline::recentering::ends::{EndPoint, end_point, far_wall, follow_rings};
+use crate::centerline::recentering::ends::reach_ends;
 use crate::centerline::recentering::joint_fit::{FittedJoint, FittedLimb, carry_hidden, fit_joint};
-use crate::centerline::recentering::joints::{joint_centre, run_to_centre};
+use crate::centerline::recentering::meeting::{aim_bulges, meet_in_joints};
 use crate::centerline::recentering::sweep::recenter_branches;
 use crate::centerline::segmentation::level_sets::LevelSet;
 use crate::centerline::segmentation::track::{SPACING, Sight, Station, Track, rings, stations_of};
@@ -32,9 +29,6 @@ use crate::centerline::tips::skeleton::skeleton;
 use crate::centerline::tips::{Branching, Chain};
 use crate::centerline::triangle_grid::TriangleGrid;
 use crate::centerline::{Control, ExtractError, Parameters, Stage};
-
-/// Rounds of centering joints and judging the walls on the way to them.
-const JOINT_ROUNDS: usize = 4;
 
 /// The centerline of one component, its triangles sorted into `grid`.
 ///
@@ -67,7 +61,7 @@ pub fn extract_component(
         smooth(track, None, None);
     });
     control.report(Stage::Recentering, 0.0)?;
-    reach_ends(grid, &mut network, control)?;
+    reach_ends(grid, &mut network, &Track::is_line, control)?;
     meet_in_joints(grid, &owners, &mut network, control)?;
     recenter_branches(grid, &mut network, control)?;
     fit_joints(grid, &mut network, control)?;
@@ -183,132 +177,6 @@ fn trim_tips(track: &mut Track, from_level: Option<f64>, to_level: Option<f64>) 
     if (0..track.rings.len()).filter(|&ring| keep(ring)).count() >= 3 {
         track.stations.retain(|station| keep(station.ring));
     }
-}
-
-/// Puts each end node at the wall ahead of its branch.
-fn reach_ends(
-    grid: &TriangleGrid<'_>,
-    network: &mut Network,
-    control: &Control<'_>,
-) -> Result<(), ExtractError> {
-    for node in 0..network.nodes.len() {
-        control.cancel.check()?;
-        let [(track, at_end)] = network.incident(node)[..] else { continue };
-        // A bulge points away from its joint: its far wall is found once that is known.
-        if network.tracks[track].bulge.is_some() {
-            continue;
-        }
-        let vertex = network.nodes[node].vertex;
-        let end = network.oriented(track, at_end, |track| {
-            follow_rings(grid, track, vertex);
-            end_point(grid, track, vertex)
-        });
-        network.nodes[node].anchor = Some(Anchor { point: end.point, radius: end.radius });
-    }
-    Ok(())
-}
-
-/// Finds the joints' centres and leads the branches into them, a few rounds.
-fn meet_in_joints(
-    grid: &TriangleGrid<'_>,
-    owners: &[u32],
-    network: &mut Network,
-    control: &Control<'_>,
-) -> Result<(), ExtractError> {
-    let surface = grid.surface();
-    for round in 0..JOINT_ROUNDS {
-        control.report(Stage::Recentering, round as f64 / JOINT_ROUNDS as f64)?;
-        for node in 0..network.nodes.len() {
-            control.cancel.check()?;
-            meet(grid, owners, network, node);
-        }
-        if round == 0 {
-            network.contract_close();
-        }
-        let anchors: Vec<(Option<Anchor>, Option<Anchor>)> =
-            network.tracks.iter().map(|t| (network.anchor(t.from), network.anchor(t.to))).collect();
-        let rings: Vec<bool> = network.tracks.iter().map(|t| network.is_ring(t.from)).collect();
-        network.tracks.par_iter_mut().zip(anchors).zip(rings).for_each(|((track, (from, to)), ring)| {
-            if track.bulge.is_some() {
-                return;
-            }
-            if ring {
-                smooth_ring(track)
-            } else {
-                smooth(track, from, to)
-            }
-            recut(surface, track);
-            if ring {
-                smooth_ring(track)
-            } else {
-                smooth(track, from, to)
-            }
-            settle_radii(&mut track.stations);
-        });
-    }
-    Ok(())
-}
-
-/// Finds one joint's centre and leads its branches in.
-fn meet(grid: &TriangleGrid<'_>, owners: &[u32], network: &mut Network, node: usize) {
-    let surface = grid.surface();
-    let incident = network.incident(node);
-    if incident.len() < 2 || network.is_ring(node) {
-        return;
-    }
-    let mut approaches: Vec<Approach> = Vec::with_capacity(incident.len());
-    for &(track, at_end) in &incident {
-        let before = run_up(network, track, at_end);
-        approaches.extend(network.oriented(track, at_end, |track| Approach::of(track, &before)));
-    }
-    let on_wall = surface.mesh.vertices[network.nodes[node].vertex as usize];
-    let prior = network.prior(&incident).unwrap_or(on_wall);
-    let centre = joint_centre(&approaches, &prior);
-    let radius = network.joint_radius(&incident);
-    network.nodes[node].anchor = Some(Anchor { point: centre, radius });
-    aim_bulges(grid, network, &incident, &centre);
-    lead_in(surface, owners, network, &incident, &centre);
-}
-
-/// Draws the lines of the bulges at a joint straight from its centre through their middles.
-fn aim_bulges(
-    grid: &TriangleGrid<'_>,
-    network: &mut Network,
-    incident: &[(usize, bool)],
-    centre: &Point3<f64>,
-) {
-    for &(index, at_end) in incident {
-        let track = &network.tracks[index];
-        let Some(bulge) = &track.bulge else { continue };
-        let far = if at_end { track.from } else { track.to };
-        let tip = grid.surface().mesh.vertices[network.nodes[far].vertex as usize];
-        let end = far_wall(grid, bulge, centre).unwrap_or(EndPoint { point: tip, radius: 0.0 });
-        let stations = line_through(grid, track, centre, &end.point, !at_end);
-        network.nodes[far].anchor = Some(Anchor { point: end.point, radius: end.radius });
-        network.tracks[index].stations = stations;
-    }
-}
-
-/// Runs every incident branch to the centre, each judged by the rings of all of them.
-fn lead_in(
-    surface: &Surface,
-    owners: &[u32],
-    network: &mut Network,
-    incident: &[(usize, bool)],
-    centre: &Point3<f64>,
-) {
-    let mut pool: Vec<LevelSet> = Vec::new();
-    for &(track, _) in incident {
-        let track = &network.tracks[track];
-        let near = |ring: &&LevelSet| (ring.centroid - centre).norm() < 8.0 * ring.radius();
-        pool.extend(track.rings.iter().filter(near).cloned());
-    }
-    let rings: Vec<&LevelSet> = pool.iter().collect();
-    network.all_oriented(incident, |track| {
-        if track.bulge.is_none() {
-            run_to_centre(surface, owners, track, centre, &rings);
-        }
-    });
 }
 
 /// Fits the joints to all the wall around them.

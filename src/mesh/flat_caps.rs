@@ -34,8 +34,8 @@ const VESSEL: std::ops::Range<f64> = 0.65..1.35;
 const ONWARD: std::ops::Range<f64> = 0.5..1.8;
 /// Cosine between cap and vessel above which the cut is square enough to be seen for what it is.
 const SQUARE: f64 = 0.9;
-/// Most of the surface that may lie before a section, in the area that the section should have.
-const AROUND: f64 = 24.0;
+/// Most of the surface that may lie before a section, in the area that it should have, a radius of its depth.
+const AROUND: f64 = 16.0;
 /// How often a triangle may be looked at on average: a surface of nothing but flat pieces has no caps.
 const LOOKS: usize = 64;
 /// Twice the area over the square of the longest edge of a triangle whose normal is rounding.
@@ -168,7 +168,7 @@ impl<'a> Region<'a> {
     fn flood(&mut self, first: u32, normal: Vector3<f64>, name: u32) -> bool {
         // The second flood of a seed may take what the first took.
         let free = |owner: u32| owner == NONE || (name % 2 == 1 && owner + 1 == name);
-        let size = normal.norm();
+        let size = normal.norm_squared();
         (self.name, self.area) = (name, Vector3::zeros());
         self.triangles.clear();
         self.triangles.push(first);
@@ -185,7 +185,9 @@ impl<'a> Region<'a> {
                 }
                 let other = o / 3;
                 let area = self.mesh.area_vector(other);
-                if area.dot(&normal) > FLAT * size * area.norm() || self.is_sliver(other, area.norm()) {
+                let (along, square) = (area.dot(&normal), area.norm_squared());
+                let flat = along > 0.0 && along * along > FLAT * FLAT * size * square;
+                if flat || self.is_sliver(other, square.sqrt()) {
                     self.owner[other as usize] = name;
                     self.triangles.push(other);
                 }
@@ -281,7 +283,7 @@ impl<'a> Region<'a> {
     ) -> bool {
         let mut section = |area: f64, radii: f64| {
             let depth = radii * (area / PI).sqrt();
-            self.section_behind(rim, &(centre - outward * depth), &outward, AROUND * area)
+            self.section_behind(rim, &(centre - outward * depth), &outward, AROUND * radii * area)
         };
         let Some((near, _)) = section(area, 0.5) else { return false };
         if !(SECTION.start..most).contains(&(near / area)) {

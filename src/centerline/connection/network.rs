@@ -1,7 +1,6 @@
 //! The branches of a component and the nodes that they share.
 
 use nalgebra::{Point3, Vector3};
-use rayon::prelude::*;
 
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::connection::subsampling::{Anchor, subsample};
@@ -84,17 +83,6 @@ impl Network {
     /// Lets `work` see a track so that it runs toward the node in question.
     pub fn oriented<T>(&mut self, track: usize, at_end: bool, work: impl FnOnce(&mut Track) -> T) -> T {
         self.tracks[track].oriented(at_end, work)
-    }
-
-    /// The same for all tracks that are incident to a node, in parallel: each is seen alone.
-    pub fn all_oriented(&mut self, incident: &[(usize, bool)], work: impl Fn(&mut Track) + Sync) {
-        let ends_at = |index: usize| incident.iter().filter(move |end| end.0 == index);
-        let tracks = self.tracks.iter_mut().enumerate();
-        let near: Vec<(usize, &mut Track)> =
-            tracks.filter(|&(index, _)| ends_at(index).next().is_some()).collect();
-        near.into_par_iter().for_each(|(index, track)| {
-            ends_at(index).for_each(|&(_, at_end)| track.oriented(at_end, &work));
-        });
     }
 
     /// A copy of a track, without its rings, that runs toward the node in question.

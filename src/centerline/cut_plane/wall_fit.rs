@@ -45,10 +45,14 @@ fn wall_sides(surface: &Surface, cut: &Section) -> Vec<WallSide> {
     wall
 }
 
-/// A piece of a section's wall.
+/// A piece of a section's wall, seen from the centre.
 struct WallPiece {
-    middle: Point2<f64>,
-    /// Share of the circumference seen from the centre.
+    /// Unit.
+    direction: Vector2<f64>,
+    distance: f64,
+    /// Distance of the wall expected there.
+    radius: f64,
+    /// Share of the circumference.
     share: f64,
 }
 
@@ -78,7 +82,7 @@ fn agreement(wall: &[WallSide], centre: Point2<f64>, expected: &Profile, gate: f
         }
         let share = signed_angle(&(p - centre), &(q - centre)).abs() / TAU;
         support += share;
-        pieces.push(WallPiece { middle, share });
+        pieces.push(WallPiece { direction, distance, radius, share });
     }
     Agreement { pieces, support }
 }
@@ -201,10 +205,8 @@ fn leave_out(wall: &[WallSide], station: &mut Station, cut: &Section, expected: 
         let seen = agreement(wall, centre, &profile, GATE);
         let (mut all, mut grown) = (0.0, 0.0);
         for piece in &seen.pieces {
-            let arm = piece.middle - centre;
-            let Some(direction) = arm.try_normalize(0.0) else { continue };
             all += piece.share;
-            grown += piece.share * arm.norm() / profile.at(&direction);
+            grown += piece.share * piece.distance / piece.radius;
         }
         if all > 0.0 {
             profile = profile.scaled(grown / all);
@@ -256,9 +258,7 @@ fn fit_centre(wall: &[WallSide], expected: &Profile, start: Point2<f64>) -> (Poi
         information = Matrix2::zeros();
         let mut pull = Vector2::zeros();
         for piece in &seen.pieces {
-            let arm = piece.middle - centre;
-            let Some(direction) = arm.try_normalize(0.0) else { continue };
-            let excess = arm.norm() - expected.at(&direction);
+            let (direction, excess) = (piece.direction, piece.distance - piece.radius);
             let doubt = excess / (GATE * mean);
             let weight = piece.share / (1.0 + doubt * doubt);
             information += direction * direction.transpose() * (2.0 * weight);

@@ -61,20 +61,12 @@ impl WallShape {
     ///
     /// `radius` is the section's own, for sections of too few vertices.
     pub fn of(surface: &Surface, cut: &Section, centre: &Point2<f64>, radius: f64) -> Self {
-        // A cap's vertices say nothing of the wall.
-        let wall =
-            cut.triangles.iter().zip(cut.normals(surface)).filter(|(_, normal)| lean(cut, normal) < CAP);
-        let mut vertices: Vec<u32> = wall.flat_map(|(&t, _)| surface.mesh.triangles[t as usize]).collect();
-        vertices.sort_unstable();
-        vertices.dedup();
         let grain = grain(surface, cut);
         let nearest = cut.distance(centre);
         // Far along a long triangle the wall may be anything; far off it is another branch's.
         let reach = grain.clamp(0.75 * radius, 2.0 * radius);
-        let mut normal = SMatrix::<f64, TERMS, TERMS>::zeros();
-        let mut right = SVector::<f64, TERMS>::zeros();
-        let (mut count, mut squares) = (0, 0.0);
-        for v in vertices {
+        let mut sums = Sums::default();
+        for v in wall_vertices(surface, cut) {
             let p = surface.mesh.vertices[v as usize];
             let along = (p - cut.frame.origin).dot(&cut.frame.t);
             let arm = cut.frame.flat(&p) - centre;
@@ -82,13 +74,10 @@ impl WallShape {
             if along.abs() > reach || distance <= 0.0 || !(0.4..2.0).contains(&(distance / radius)) {
                 continue;
             }
-            let row = row(&(arm / distance), along / radius);
-            // Its lower half is all that is read.
-            normal.syger(1.0, &row, &row, 1.0);
-            right += row * distance;
-            squares += distance * distance;
-            count += 1;
+            sums.add(&row(&(arm / distance), along / radius), distance);
         }
+        let Sums { normal, right, squares, count } = sums;
+        let (mut normal, right) = (SMatrix::<f64, TERMS, TERMS>::from(normal), SVector::from(right));
         if count < LEAST {
             return Self { grain, nearest, ..Self::circle(radius) };
         }
@@ -156,10 +145,46 @@ fn lean(cut: &Section, normal: &Vector3<f64>) -> f64 {
 }
 
 /// The terms at a vertex in direction `arm` (unit) from the centre.
-fn row(arm: &Vector2<f64>, along: f64) -> SVector<f64, TERMS> {
+fn row(arm: &Vector2<f64>, along: f64) -> [f64; TERMS] {
     let (cos, sin) = (arm.x, arm.y);
     let bow = along * along;
-    SVector::from([1.0, cos, sin, cos * cos - sin * sin, 2.0 * sin * cos, along, bow * cos, bow * sin])
+    [1.0, cos, sin, cos * cos - sin * sin, 2.0 * sin * cos, along, bow * cos, bow * sin]
+}
+
+/// The vertices of the triangles that the section crosses; without those of caps, which say nothing of the wall.
+fn wall_vertices(surface: &Surface, cut: &Section) -> Vec<u32> {
+    let wall = cut.triangles.iter().zip(cut.normals(surface)).filter(|(_, normal)| lean(cut, normal) < CAP);
+    let mut before = [u32::MAX; 3];
+    let mut vertices = Vec::with_capacity(cut.triangles.len());
+    for (&t, _) in wall {
+        let corners = surface.mesh.triangles[t as usize];
+        // Neighbours share an edge: what is left to sort is a third.
+        vertices.extend(corners.into_iter().filter(|v| !before.contains(v)));
+        before = corners;
+    }
+    vertices.sort_unstable();
+    vertices.dedup();
+    vertices
+}
+
+/// Normal equations.
+#[derive(Default)]
+struct Sums {
+    normal: [[f64; TERMS]; TERMS],
+    right: [f64; TERMS],
+    squares: f64,
+    count: usize,
+}
+
+impl Sums {
+    fn add(&mut self, row: &[f64; TERMS], distance: f64) {
+        for (column, &a) in self.normal.iter_mut().zip(row) {
+            column.iter_mut().zip(row).for_each(|(sum, &b)| *sum += a * b);
+        }
+        self.right.iter_mut().zip(row).for_each(|(sum, &a)| *sum += a * distance);
+        self.squares += distance * distance;
+        self.count += 1;
+    }
 }
 
 /// First harmonic of the polygon's distance from `centre`.

@@ -27,17 +27,23 @@ impl Banded {
         const ROUNDED: f64 = 1e-15;
         let n = self.rows.len();
         let diagonal: Vec<f64> = self.rows.iter().map(|row| row[0]).collect();
+        // With nothing after its end a row can be taken from any entry on, always as long: that is unrolled.
+        let mut row = [0.0; 2 * (BAND + 1)];
         for i in 0..n {
             let (done, after) = self.rows.split_at_mut(i + 1);
-            let row = &mut done[i];
+            let own = &mut done[i];
             // Rounding may leave less than nothing where nothing holds: then hardly anything does.
-            row[0] = row[0].max(ROUNDED * diagonal[i]).max(f64::MIN_POSITIVE);
-            for (k, below) in after.iter_mut().take(BAND).enumerate() {
+            own[0] = own[0].max(ROUNDED * diagonal[i]).max(f64::MIN_POSITIVE);
+            row[..=BAND].copy_from_slice(own);
+            let (known, unknown) = right.split_at_mut(i + 1);
+            for (k, (below, value)) in after.iter_mut().zip(unknown).take(BAND).enumerate() {
                 let share = row[k + 1] / row[0];
                 // Coordinates that nothing ties together are many.
-                if share != 0.0 {
-                    below.iter_mut().zip(&row[k + 1..]).for_each(|(entry, own)| *entry -= share * own);
-                    right[i + k + 1] -= share * right[i];
+                if share != 0.0
+                    && let Some(rest) = row[k + 1..].first_chunk::<{ BAND + 1 }>()
+                {
+                    below.iter_mut().zip(rest).for_each(|(entry, own)| *entry -= share * own);
+                    *value -= share * known[i];
                 }
             }
         }

@@ -25,7 +25,8 @@ pub fn fit_curve(
 
 /// Targets, weights and spacing of a curve that is fitted several times, more and less stiff.
 pub struct CurveFit<'a> {
-    targets: &'a [Point3<f64>],
+    /// The curve is told from the first of them on.
+    points: &'a [Point3<f64>],
     /// The normal equations without a penalty.
     system: Banded,
     right: Vec<f64>,
@@ -36,13 +37,24 @@ pub struct CurveFit<'a> {
 impl<'a> CurveFit<'a> {
     /// As for [`fit_curve`].
     pub fn new(targets: &'a [Point3<f64>], weights: &[Matrix3<f64>], abscissa: &[f64]) -> Self {
+        Self::pulled(targets, weights, |_| Vector3::zeros(), abscissa)
+    }
+
+    /// The same where the targets are not known, only the right sides: how `pull` draws each of `points`, its weight
+    /// times the way to its target.
+    pub fn pulled(
+        points: &'a [Point3<f64>],
+        weights: &[Matrix3<f64>],
+        pull: impl Fn(usize) -> Vector3<f64>,
+        abscissa: &[f64],
+    ) -> Self {
         /// Holds directions that nothing else pins.
         const HOLD: f64 = 1e-9;
-        let mut system = Banded::new(3 * targets.len());
-        let mut right = Vec::with_capacity(3 * targets.len());
-        for (i, (target, weight)) in targets.iter().zip(weights).enumerate() {
-            let away = target - targets[0];
-            right.extend_from_slice((weight * away + away * HOLD).as_slice());
+        let mut system = Banded::new(3 * points.len());
+        let mut right = Vec::with_capacity(3 * points.len());
+        for (i, (point, weight)) in points.iter().zip(weights).enumerate() {
+            let away = point - points[0];
+            right.extend_from_slice((weight * away + away * HOLD + pull(i)).as_slice());
             for row in 0..3 {
                 for column in row..3 {
                     system.add(3 * i + row, 3 * i + column, weight[(row, column)]);
@@ -50,13 +62,13 @@ impl<'a> CurveFit<'a> {
                 system.add(3 * i + row, 3 * i + row, HOLD);
             }
         }
-        Self { targets, system, right, seconds: differences(abscissa), thirds: differences(abscissa) }
+        Self { points, system, right, seconds: differences(abscissa), thirds: differences(abscissa) }
     }
 
     /// The curve for weights of the squared third and second differences. O(n).
     pub fn curve(&self, third: impl Fn(usize) -> f64, second: f64) -> Vec<Point3<f64>> {
-        let Some(origin) = self.targets.first().filter(|_| self.targets.len() >= 3) else {
-            return self.targets.to_vec();
+        let Some(origin) = self.points.first().filter(|_| self.points.len() >= 3) else {
+            return self.points.to_vec();
         };
         let mut system = self.system.clone();
         penalise(&mut system, &self.seconds, |_| second);

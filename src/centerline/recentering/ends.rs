@@ -1,12 +1,16 @@
 //! Ends: the line reaches the middle of the cap, of the opening or of a dome's far wall.
 
 use nalgebra::{Matrix3, Point3, Unit, Vector3};
+use rayon::prelude::*;
 
 use crate::mesh::preparation::{Opening, Surface};
 
+use crate::centerline::connection::network::Network;
+use crate::centerline::connection::subsampling::{Anchor, settle_radii};
 use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
 use crate::centerline::segmentation::track::{Bulge, SPACING, Sight, Station, Track, update_tangents};
 use crate::centerline::triangle_grid::TriangleGrid;
+use crate::centerline::{Control, ExtractError};
 
 /// Where the line of a track, continued past its last station, meets the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,6 +18,43 @@ pub struct EndPoint {
     pub point: Point3<f64>,
     /// Radius to report there, continued from the last sections.
     pub radius: f64,
+}
+
+/// Puts the end nodes of all branches that are `wanted` at the wall ahead of them.
+///
+/// # Errors
+/// [`ExtractError::Cancelled`].
+pub fn reach_ends(
+    grid: &TriangleGrid<'_>,
+    network: &mut Network,
+    wanted: &(impl Fn(&Track) -> bool + Sync),
+    control: &Control<'_>,
+) -> Result<(), ExtractError> {
+    let tip = |node: usize| network.is_end(node).then_some(network.nodes[node].vertex);
+    let tips: Vec<[Option<u32>; 2]> =
+        network.tracks.iter().map(|track| [tip(track.from), tip(track.to)]).collect();
+    let reach = |(track, tips): (&mut Track, [Option<u32>; 2])| {
+        control.cancel.check()?;
+        let mut ends = [None; 2];
+        for at_end in [false, true] {
+            let Some(tip) = tips[usize::from(at_end)].filter(|_| wanted(track)) else { continue };
+            let EndPoint { point, radius } = track.oriented(at_end, |track| {
+                follow_rings(grid, track, tip);
+                settle_radii(&mut track.stations);
+                end_point(grid, track, tip)
+            });
+            ends[usize::from(at_end)] = Some(Anchor { point, radius });
+        }
+        Ok(ends)
+    };
+    let found: Vec<[Option<Anchor>; 2]> =
+        network.tracks.par_iter_mut().zip(tips).map(reach).collect::<Result<_, ExtractError>>()?;
+    for (track, [from, to]) in network.tracks.iter().zip(found) {
+        for (node, anchor) in [(track.from, from), (track.to, to)] {
+            network.nodes[node].anchor = anchor.or(network.nodes[node].anchor);
+        }
+    }
+    Ok(())
 }
 
 /// The end point of `track` past its last station; `tip` is the Reeb leaf's vertex: the centre of an
@@ -78,7 +119,7 @@ fn rim_normal(surface: &Surface, opening: &Opening) -> Vector3<f64> {
 /// its side, well before the tip: in a thin vessel of few triangles no section may be clean for long.
 ///
 /// O(rings + triangles beside the line).
-pub fn follow_rings(grid: &TriangleGrid<'_>, track: &mut Track, tip: u32) {
+fn follow_rings(grid: &TriangleGrid<'_>, track: &mut Track, tip: u32) {
     /// How much farther than the wall ahead the tip lies, in radii.
     const SHORT: f64 = 0.8;
     /// A way to the tip that is longer than this, in radii, is no mere cap's.

@@ -101,7 +101,7 @@ pub fn run_to_centre(
     owners: &[u32],
     track: &mut Track,
     centre: &Point3<f64>,
-    rings: &[&LevelSet],
+    rings: &[LevelSet],
 ) {
     come_near(Wall::new(surface, owners, track.chain), track, centre);
     let Some(last_seen) = track.stations.iter().rposition(seen_well) else { return };
@@ -151,7 +151,7 @@ fn come_near(wall: Wall<'_>, track: &mut Track, centre: &Point3<f64>) {
 }
 
 /// Judges the partial stations at the end of a track again, where they have moved to.
-fn rejudge_partial(surface: &Surface, track: &mut Track, rings: &[&LevelSet]) {
+fn rejudge_partial(surface: &Surface, track: &mut Track, rings: &[LevelSet]) {
     let Some(clean) = track.stations.iter().rposition(|s| s.sight == Sight::Clean) else { return };
     let expected = track.stations[clean].profile.clone();
     update_tangents(&mut track.stations);
@@ -164,15 +164,20 @@ fn rejudge_partial(surface: &Surface, track: &mut Track, rings: &[&LevelSet]) {
 }
 
 /// Past the last clean section nothing is firm: whatever agrees counts as a part of the wall.
-fn judge_partial(surface: &Surface, station: &mut Station, expected: &Profile, rings: &[&LevelSet]) {
+fn judge_partial(surface: &Surface, station: &mut Station, expected: &Profile, rings: &[LevelSet]) {
     const NEAREST: usize = 12;
     let point = station.point;
-    let mut near: Vec<&LevelSet> = rings.to_vec();
-    near.sort_by(|a, b| (a.centroid - point).norm().total_cmp(&(b.centroid - point).norm()));
-    near.truncate(NEAREST);
+    let away = |ring: &LevelSet| (ring.centroid - point).norm_squared();
+    let mut near: Vec<(f64, usize)> = rings.iter().enumerate().map(|(i, ring)| (away(ring), i)).collect();
+    let nearer = |a: &(f64, usize), b: &(f64, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+    if near.len() > NEAREST {
+        near.select_nth_unstable_by(NEAREST, nearer);
+        near.truncate(NEAREST);
+    }
+    near.sort_unstable_by(nearer);
     station.sight = Sight::Lost;
     station.weight = Matrix3::zeros();
-    if let Some(cut) = section_from_rings(surface, station.frame, near.into_iter()) {
+    if let Some(cut) = section_from_rings(surface, station.frame, near.iter().map(|&(_, i)| &rings[i])) {
         judge(surface, station, &cut, expected);
     }
     if station.sight == Sight::Clean {

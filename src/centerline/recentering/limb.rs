@@ -116,6 +116,27 @@ impl LimbWall {
                 (number, share, arm, outside) = found;
             }
         }
+        Self::placed(number, share, arm, outside)
+    }
+
+    /// The same, looked for downhill from `near` alone: for a point whose place is known but for a small move.
+    pub fn foot_near(&self, point: &Point3<f64>, near: f64) -> Foot {
+        let first = ((near * Limb::PIECES as f64) as usize).min(Limb::PIECES - 1);
+        let mut best = self.beside(first, point);
+        for step in [-1, 1] {
+            while let Some(next) = best.0.checked_add_signed(step).filter(|&next| next < Limb::PIECES) {
+                let found = self.beside(next, point);
+                if found.3 >= best.3 {
+                    break;
+                }
+                best = found;
+            }
+        }
+        let (number, share, arm, outside) = best;
+        Self::placed(number, share, arm, outside)
+    }
+
+    fn placed(number: usize, share: f64, arm: Vector3<f64>, outside: f64) -> Foot {
         let ends = [number, number + 1].map(|end| Limb::basis(end as f64 / Limb::PIECES as f64));
         let basis = std::array::from_fn(|k| ends[0][k] * (1.0 - share) + ends[1][k] * share);
         let t = (number as f64 + share) / Limb::PIECES as f64;

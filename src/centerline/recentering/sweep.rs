@@ -11,14 +11,15 @@ use std::ops::Range;
 
 use nalgebra::Point3;
 use rayon::prelude::*;
+use rustc_hash::FxHashSet;
 
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::connection::network::Network;
-use crate::centerline::connection::subsampling::{Anchor, settle_radii};
+use crate::centerline::connection::subsampling::settle_radii;
 use crate::centerline::cut_plane::wall_shape::FLAT;
 use crate::centerline::laplacian_smoothing::branch::observe;
-use crate::centerline::recentering::ends::{end_point, follow_rings};
+use crate::centerline::recentering::ends::reach_ends;
 use crate::centerline::recentering::swept_fit::{Fitted, Search, fit_centre, fit_shape};
 use crate::centerline::recentering::swept_tube::SweptTube;
 use crate::centerline::recentering::swept_wall::{doubt_unusual, hear, wall_beside};
@@ -64,20 +65,9 @@ pub fn recenter_branches(
     };
     let work = network.tracks.par_iter_mut().zip(tips);
     let moved = work.map(one).collect::<Result<Vec<bool>, ExtractError>>()?;
-    for node in 0..network.nodes.len() {
-        let [(track, at_end)] = network.incident(node)[..] else { continue };
-        if !moved[track] {
-            continue;
-        }
-        let vertex = network.nodes[node].vertex;
-        let end = network.oriented(track, at_end, |track| {
-            follow_rings(grid, track, vertex);
-            settle_radii(&mut track.stations);
-            end_point(grid, track, vertex)
-        });
-        network.nodes[node].anchor = Some(Anchor { point: end.point, radius: end.radius });
-    }
-    Ok(())
+    let moved: FxHashSet<usize> =
+        network.tracks.iter().zip(moved).filter(|(_, moved)| *moved).map(|(track, _)| track.chain).collect();
+    reach_ends(grid, network, &|track: &Track| moved.contains(&track.chain), control)
 }
 
 /// Returns whether any run of it was a tube. `tips`: where the track ends before its first and after its last station;

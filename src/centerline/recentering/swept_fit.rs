@@ -131,10 +131,8 @@ impl<Row: Fn(&Heard) -> Vector3<f64>, Hold: Fn(usize) -> Matrix3<f64>> Problem<'
             // Where nothing is left, rounding may leave less.
             (squares + (0..n).map(one).sum::<f64>()).max(0.0)
         };
-        let targets: Vec<Point3<f64>> =
-            (0..n).map(|i| self.values[i] + least_squares(&weights[i], &pulls[i])).collect();
         let scaled: Vec<Matrix3<f64>> = (0..n).map(|i| weights[i] / mean + (self.hold)(i)).collect();
-        let fit = CurveFit::new(&targets, &scaled, &self.tube.along);
+        let fit = CurveFit::pulled(&self.values, &scaled, |i| pulls[i] / mean, &self.tube.along);
         let tried = |rung: usize| {
             let stiffness = LADDER[rung];
             let curve = self.curve(&fit, stiffness);
@@ -194,10 +192,4 @@ fn better(mut best: Fitted, tried: impl Fn(usize) -> Fitted) -> Fitted {
         best = softer;
     }
     best
-}
-
-/// The shortest step that makes the squares least: directions that nothing tells of stay.
-fn least_squares(weight: &Matrix3<f64>, pull: &Vector3<f64>) -> Vector3<f64> {
-    let inverse = weight.pseudo_inverse(1e-9 * weight.norm());
-    inverse.map_or(Vector3::zeros(), |inverse| inverse * pull)
 }

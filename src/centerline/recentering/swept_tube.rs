@@ -14,8 +14,20 @@ pub struct SweptTube {
     pub shapes: Vec<Vector3<f64>>,
     /// Way along the line to each station.
     pub along: Vec<f64>,
+    /// Of each piece between two stations.
+    cubics: Vec<Cubic>,
     /// How far past its first and its last station the tube goes on.
     beyond: [f64; 2],
+}
+
+/// Coefficients of the share of a piece, of its square and of its cube.
+struct Cubic([Vector3<f64>; 3]);
+
+impl Cubic {
+    /// Hermite interpolation over `step` with the slopes `from` and `to`.
+    fn new(step: Vector3<f64>, from: Vector3<f64>, to: Vector3<f64>) -> Self {
+        Self([from, step * 3.0 - from * 2.0 - to, from + to - step * 2.0])
+    }
 }
 
 /// A place on a cubic: point, derivative and second derivative by the share of the piece.
@@ -38,7 +50,7 @@ impl SweptTube {
         let points = stations.iter().map(|s| s.point).collect();
         let frames = stations.iter().map(|s| s.frame).collect();
         let shapes = stations.iter().map(|s| Vector3::new(s.shape.mean, 0.0, 0.0)).collect();
-        let mut tube = Self { points, frames, shapes, along: Vec::new(), beyond };
+        let mut tube = Self { points, frames, shapes, along: Vec::new(), cubics: Vec::new(), beyond };
         tube.settle();
         for (i, station) in stations.iter().enumerate() {
             let [x, y] = station.shape.ellipse;
@@ -48,7 +60,7 @@ impl SweptTube {
         tube
     }
 
-    /// Sets frames and ways anew after the points moved.
+    /// Sets frames, ways and cubics anew after the points moved.
     pub fn settle(&mut self) {
         let mut like = self.frames.first().map_or(Vector3::x(), |frame| frame.u);
         for ((frame, point), tangent) in self.frames.iter_mut().zip(&self.points).zip(tangents(&self.points))
@@ -60,6 +72,11 @@ impl SweptTube {
         for pair in self.points.windows(2) {
             self.along.push(self.along[self.along.len() - 1] + (pair[1] - pair[0]).norm());
         }
+        let cubic = |k: usize| {
+            let (step, chord) = (self.points[k + 1] - self.points[k], self.chord(k));
+            Cubic::new(step, self.frames[k].t * chord, self.frames[k + 1].t * chord)
+        };
+        self.cubics = (0..self.points.len() - 1).map(cubic).collect();
     }
 
     /// The ellipse's terms at a station, told in another frame of the same plane.
@@ -152,16 +169,14 @@ impl SweptTube {
         (t, self.at(k, t))
     }
 
-    /// Cubic Hermite interpolation between stations `k` and `k + 1`.
+    /// The place on piece `k` at share `t`.
     pub fn at(&self, k: usize, t: f64) -> OnCubic {
-        let (from, step) = (self.points[k], self.points[k + 1] - self.points[k]);
-        let chord = self.chord(k);
-        let (m, n) = (self.frames[k].t * chord, self.frames[k + 1].t * chord);
-        let (t2, t3) = (t * t, t * t * t);
+        let Cubic([a, b, c]) = &self.cubics[k];
+        let cube = c * t;
         OnCubic {
-            point: from + step * (3.0 * t2 - 2.0 * t3) + m * (t3 - 2.0 * t2 + t) + n * (t3 - t2),
-            first: step * (6.0 * t - 6.0 * t2) + m * (3.0 * t2 - 4.0 * t + 1.0) + n * (3.0 * t2 - 2.0 * t),
-            second: step * (6.0 - 12.0 * t) + m * (6.0 * t - 4.0) + n * (6.0 * t - 2.0),
+            point: self.points[k] + (a + (b + cube) * t) * t,
+            first: a + (b * 2.0 + cube * 3.0) * t,
+            second: b * 2.0 + cube * 6.0,
         }
     }
 }

@@ -74,6 +74,23 @@ struct Share {
     trust: f64,
 }
 
+/// Normal equations of one limb's wall: the centre's three unknowns, then the limb's own.
+#[derive(Clone, Default)]
+struct Block {
+    matrix: [[f64; 3 + OWN]; 3 + OWN],
+    right: [f64; 3 + OWN],
+}
+
+impl Block {
+    /// A residual with its derivatives by the unknowns.
+    fn add(&mut self, row: &[f64; 3 + OWN], residual: f64, weight: f64) {
+        for (i, a) in row.map(|a| weight * a).into_iter().enumerate() {
+            self.right[i] -= a * residual;
+            self.matrix[i].iter_mut().zip(row).for_each(|(sum, b)| *sum += a * b);
+        }
+    }
+}
+
 struct Normal {
     matrix: DMatrix<f64>,
     right: DVector<f64>,
@@ -165,19 +182,19 @@ impl UnionFit<'_> {
     /// The distances of the wall's vertices from their limbs.
     fn add_wall(&self, limbs: &[Limb], shares: &[Share], normal: &mut Normal) {
         let walls: Vec<LimbWall> = limbs.iter().map(Limb::wall).collect();
+        let mut blocks = vec![Block::default(); limbs.len()];
         for &Share { vertex, limb, t, trust } in shares {
-            let foot = walls[limb].foot(&vertex, t);
+            let foot = walls[limb].foot_near(&vertex, t);
             let foreign = foot.outside / (FOREIGN * limbs[limb].radii[0]);
             let usual = 1.0 / (1.0 + foreign * foreign);
             normal.cost += usual * foot.outside * foot.outside * trust;
-            let at = 3 + OWN * limb;
-            let mut row = [(0, 0.0); 7];
-            for axis in 0..3 {
-                row[axis] = (axis, -foot.basis[3] * foot.direction[axis]);
-                row[3 + axis] = (at + axis, -foot.basis[2] * foot.direction[axis]);
-            }
-            row[6] = (at + 3, -foot.t);
-            normal.add(&row, foot.outside, usual * usual * trust);
+            let centre = foot.direction * -foot.basis[3];
+            let own = foot.direction * -foot.basis[2];
+            let row = [centre.x, centre.y, centre.z, own.x, own.y, own.z, -foot.t];
+            blocks[limb].add(&row, foot.outside, usual * usual * trust);
+        }
+        for (limb, block) in blocks.iter().enumerate() {
+            normal.add_limb(3 + OWN * limb, block);
         }
     }
 
@@ -190,7 +207,7 @@ impl UnionFit<'_> {
         let Some(centre) = limbs.first().map(|limb| limb.control[3]) else { return };
         let hold = 1.0 / (CENTRE * widest).powi(2);
         for axis in 0..3 {
-            normal.add_square(&[(axis, 1.0)], centre[axis] - self.origin[axis], hold);
+            normal.add_square(axis, centre[axis] - self.origin[axis], hold);
         }
         let (lines, pull) = &self.lines;
         let off = lines
@@ -200,7 +217,7 @@ impl UnionFit<'_> {
         for (number, (limb, start)) in limbs.iter().zip(self.starts).enumerate() {
             let (at, radius) = (3 + OWN * number, limb.radii[0]);
             let grown = limb.radii[1] - start.limb.radii[1];
-            normal.add_square(&[(at + 3, 1.0)], grown, 1.0 / (RADIUS * radius).powi(2));
+            normal.add_square(at + 3, grown, 1.0 / (RADIUS * radius).powi(2));
             // What no wall holds has no part in the fit: it pulls at nothing.
             if start.hidden {
                 let still = limb.control[2] - start.limb.control[2];
@@ -238,19 +255,22 @@ fn nearest_two(feet: impl Iterator<Item = Foot>) -> Option<(usize, Foot, f64)> {
 }
 
 impl Normal {
-    /// A residual with its derivatives by some unknowns.
-    fn add(&mut self, row: &[(usize, f64)], residual: f64, weight: f64) {
-        for &(i, a) in row {
-            self.right[i] -= weight * a * residual;
-            for &(j, b) in row {
-                self.matrix[(i, j)] += weight * a * b;
+    /// The wall of the limb whose own unknowns start at `at`.
+    fn add_limb(&mut self, at: usize, block: &Block) {
+        let place = |i: usize| if i < 3 { i } else { at + i - 3 };
+        for (i, row) in block.matrix.iter().enumerate() {
+            self.right[place(i)] += block.right[i];
+            for (j, value) in row.iter().enumerate() {
+                self.matrix[(place(i), place(j))] += value;
             }
         }
     }
 
-    fn add_square(&mut self, row: &[(usize, f64)], residual: f64, weight: f64) {
+    /// A residual that is the unknown `at` itself.
+    fn add_square(&mut self, at: usize, residual: f64, weight: f64) {
         self.cost += weight * residual * residual;
-        self.add(row, residual, weight);
+        self.right[at] -= weight * residual;
+        self.matrix[(at, at)] += weight;
     }
 
     /// A vector residual that moves with a limb's third control point (`own`) and with the centre (`shared`).

@@ -96,6 +96,11 @@ pub struct Track {
 }
 
 impl Track {
+    /// Whether it is a line of stations, and no bulge.
+    pub fn is_line(&self) -> bool {
+        self.bulge.is_none()
+    }
+
     /// Lets `work` see the track from the side of its end, or turned around.
     pub fn oriented<T>(&mut self, at_end: bool, work: impl FnOnce(&mut Self) -> T) -> T {
         if at_end {

@@ -1,0 +1,169 @@
+//! The branches led into their joints, a few rounds: centres of the joints, the way of each branch to them, and the
+//! branches' own sections cut anew where that moved them (IV.D).
+//!
+//! In a round each joint sees what those before it did to their branches; joints that are no neighbours go at once.
+
+use nalgebra::Point3;
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+
+use crate::mesh::preparation::Surface;
+
+use crate::centerline::connection::network::Network;
+use crate::centerline::connection::subsampling::{Anchor, settle_radii};
+use crate::centerline::cut_plane::bulges::line_through;
+use crate::centerline::cut_plane::cross_sections::recut;
+use crate::centerline::laplacian_smoothing::branch::{smooth, smooth_ring};
+use crate::centerline::recentering::approach::{Approach, run_up};
+use crate::centerline::recentering::ends::{EndPoint, far_wall};
+use crate::centerline::recentering::joints::{joint_centre, run_to_centre};
+use crate::centerline::segmentation::level_sets::LevelSet;
+use crate::centerline::segmentation::track::Track;
+use crate::centerline::triangle_grid::TriangleGrid;
+use crate::centerline::{Control, ExtractError, Stage};
+
+/// Rounds of centering joints and judging the walls on the way to them.
+const ROUNDS: usize = 4;
+/// How far around a joint level sets may tell of its wall, in their radii.
+const AROUND: f64 = 8.0;
+
+/// Where branches meet, as their lines tell it, and the level sets around it.
+struct Meeting {
+    centre: Anchor,
+    rings: Vec<LevelSet>,
+}
+
+/// Finds the joints' centres and leads the branches into them.
+///
+/// # Errors
+/// [`ExtractError::Cancelled`].
+pub fn meet_in_joints(
+    grid: &TriangleGrid<'_>,
+    owners: &[u32],
+    network: &mut Network,
+    control: &Control<'_>,
+) -> Result<(), ExtractError> {
+    for round in 0..ROUNDS {
+        control.report(Stage::Recentering, round as f64 / ROUNDS as f64)?;
+        for batch in batches(network) {
+            meet(grid, owners, network, &batch, control)?;
+        }
+        if round == 0 {
+            network.contract_close();
+        }
+        settle(grid.surface(), network);
+    }
+    Ok(())
+}
+
+/// The joints in batches: none sees branches that another of its batch moves, and as in the order of their numbers all
+/// that come before it have moved theirs. O(branches).
+fn batches(network: &Network) -> Vec<Vec<usize>> {
+    let mut around = vec![Vec::new(); network.nodes.len()];
+    for track in &network.tracks {
+        around[track.from].push(track.to);
+        around[track.to].push(track.from);
+    }
+    let mut batches: Vec<Vec<usize>> = Vec::new();
+    let mut batch_after = vec![0; around.len()];
+    for node in (0..around.len()).filter(|&node| around[node].len() > 1 && !network.is_ring(node)) {
+        // A joint sees its branches, and beyond their other ends those that they continue.
+        let near = around[node].iter().flat_map(|&other| around[other].iter().copied().chain([other]));
+        let batch = near.map(|other| batch_after[other]).max().unwrap_or(0);
+        batch_after[node] = batch + 1;
+        batches.resize(batches.len().max(batch + 1), Vec::new());
+        batches[batch].push(node);
+    }
+    batches
+}
+
+/// Finds the centres of some joints that are no neighbours, and leads their branches in.
+fn meet(
+    grid: &TriangleGrid<'_>,
+    owners: &[u32],
+    network: &mut Network,
+    joints: &[usize],
+    control: &Control<'_>,
+) -> Result<(), ExtractError> {
+    let seen = &*network;
+    let one = |&node: &usize| {
+        control.cancel.check()?;
+        Ok((node, Meeting::of(grid.surface(), seen, node)))
+    };
+    let meetings: FxHashMap<usize, Meeting> =
+        joints.par_iter().map(one).collect::<Result<_, ExtractError>>()?;
+    for (node, meeting) in &meetings {
+        network.nodes[*node].anchor = Some(meeting.centre);
+        aim_bulges(grid, network, &network.incident(*node), &meeting.centre.point);
+    }
+    lead_in(grid.surface(), owners, network, &meetings, control)
+}
+
+impl Meeting {
+    fn of(surface: &Surface, network: &Network, node: usize) -> Self {
+        let incident = network.incident(node);
+        let approach = |&(track, at_end): &(usize, bool)| {
+            let before = run_up(network, track, at_end);
+            Approach::of(&network.toward(track, at_end), &before)
+        };
+        let approaches: Vec<Approach> = incident.iter().filter_map(approach).collect();
+        let on_wall = surface.mesh.vertices[network.nodes[node].vertex as usize];
+        let point = joint_centre(&approaches, &network.prior(&incident).unwrap_or(on_wall));
+        let near = |ring: &&LevelSet| (ring.centroid - point).norm() < AROUND * ring.radius();
+        let all = incident.iter().flat_map(|&(track, _)| &network.tracks[track].rings);
+        let rings = all.filter(near).cloned().collect();
+        Self { centre: Anchor { point, radius: network.joint_radius(&incident) }, rings }
+    }
+}
+
+/// Draws the lines of the bulges at a joint straight from its centre through their middles.
+pub fn aim_bulges(
+    grid: &TriangleGrid<'_>,
+    network: &mut Network,
+    incident: &[(usize, bool)],
+    centre: &Point3<f64>,
+) {
+    for &(index, at_end) in incident {
+        let track = &network.tracks[index];
+        let Some(bulge) = &track.bulge else { continue };
+        let far = if at_end { track.from } else { track.to };
+        let tip = grid.surface().mesh.vertices[network.nodes[far].vertex as usize];
+        let end = far_wall(grid, bulge, centre).unwrap_or(EndPoint { point: tip, radius: 0.0 });
+        let stations = line_through(grid, track, centre, &end.point, !at_end);
+        network.nodes[far].anchor = Some(Anchor { point: end.point, radius: end.radius });
+        network.tracks[index].stations = stations;
+    }
+}
+
+/// Runs the branches of some joints to their centres, each judged by the level sets of all that meet there.
+fn lead_in(
+    surface: &Surface,
+    owners: &[u32],
+    network: &mut Network,
+    meetings: &FxHashMap<usize, Meeting>,
+    control: &Control<'_>,
+) -> Result<(), ExtractError> {
+    network.tracks.par_iter_mut().filter(|track| track.is_line()).try_for_each(|track| {
+        for (node, at_end) in [(track.from, false), (track.to, true)] {
+            let Some(Meeting { centre, rings }) = meetings.get(&node) else { continue };
+            control.cancel.check()?;
+            track.oriented(at_end, |track| run_to_centre(surface, owners, track, &centre.point, rings));
+        }
+        Ok(())
+    })
+}
+
+/// Smooths every branch between its ends, cuts it anew where that moved it, and smooths it again.
+fn settle(surface: &Surface, network: &mut Network) {
+    let anchors: Vec<_> =
+        network.tracks.iter().map(|t| (network.anchor(t.from), network.anchor(t.to))).collect();
+    let rings: Vec<bool> = network.tracks.iter().map(|t| network.is_ring(t.from)).collect();
+    let work = network.tracks.par_iter_mut().zip(anchors).zip(rings);
+    work.filter(|((track, _), _)| track.is_line()).for_each(|((track, (from, to)), ring)| {
+        let smooth = |track: &mut Track| if ring { smooth_ring(track) } else { smooth(track, from, to) };
+        smooth(track);
+        recut(surface, track);
+        smooth(track);
+        settle_radii(&mut track.stations);
+    });
+}
