@@ -57,6 +57,14 @@ fn a_cut_aslant_is_reached_in_its_middle() {
 }
 
 #[test]
+fn past_a_steep_cut_no_wall_is_without_line() {
+    for degrees in [60.0, 70.0] {
+        let found = line_of(&cut(degrees, |_| 2.0, Ends::Open));
+        assert!(found.warnings.is_empty(), "{degrees} degrees: {:?}", found.warnings);
+    }
+}
+
+#[test]
 fn a_vessel_that_narrows_may_be_cut_aslant_too() {
     let radius = |share: f64| 2.5 - share;
     for ends in [Ends::Open, Ends::Flat] {

@@ -10,4 +10,5 @@ mod known_ends;
 mod lines;
 mod picks;
 mod properties;
+mod sections;
 mod surfaces;

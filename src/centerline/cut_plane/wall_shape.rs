@@ -38,6 +38,8 @@ pub struct WallShape {
     pub slope: f64,
     /// Distance of the nearest wall in the section.
     pub nearest: f64,
+    /// How much nearer than the ellipse's short half axis the wall comes.
+    pub lobes: f64,
     /// Mean extent along the axis of the triangles that the section crosses: closer sections say
     /// much the same.
     pub grain: f64,
@@ -54,7 +56,7 @@ impl WallShape {
         let square = self.ellipse[0].powi(2) + self.ellipse[1].powi(2);
         let flatness = (square - self.haze).max(0.0).sqrt();
         let short = if flatness < FLAT * self.mean { self.mean - flatness } else { self.nearest };
-        (short / (1.0 + self.slope * self.slope).sqrt()).max(0.05 * self.nearest)
+        ((short - self.lobes) / (1.0 + self.slope * self.slope).sqrt()).max(0.05 * self.nearest)
     }
 
     /// Least squares over the vertices of the triangles that the section crosses, about `centre`.
@@ -100,6 +102,7 @@ impl WallShape {
             offset: [coarse * (fit[1] - polygon[0]), coarse * (fit[2] - polygon[1])],
             slope: fit[5] / radius,
             nearest,
+            lobes: 0.0,
             grain,
         }
     }
@@ -115,6 +118,7 @@ impl WallShape {
             sum.ellipse[1] += weight * shape.ellipse[1];
             sum.slope += weight * shape.slope;
             sum.nearest += weight * shape.nearest;
+            sum.lobes += weight * shape.lobes;
             sum.haze += weight * shape.haze;
             sum.grain += weight * shape.grain;
             total += weight;
@@ -127,6 +131,7 @@ impl WallShape {
             offset: [0.0; 2],
             slope: sum.slope * scale,
             nearest: sum.nearest * scale,
+            lobes: sum.lobes * scale,
             grain: sum.grain * scale,
         }
     }

@@ -3,7 +3,7 @@
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use crate::mesh::preparation::Surface;
+use crate::mesh::preparation::{Opening, Surface};
 
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::graph::Warning;
@@ -14,7 +14,7 @@ const NEAR: f64 = 1.5;
 /// What of the wall lies farther than so many radii of the line there (first) is told from so large a share of the
 /// area on (second): little of it when it lies far.
 const FAR: [(f64, Radii, f64); 3] =
-    [(1.5, Radii::Wide, 0.005), (2.0, Radii::Wide, 5e-4), (3.0, Radii::Inscribed, 0.005)];
+    [(1.5, Radii::Wide, 0.005), (2.0, Radii::Wide, 5e-4), (3.0, Radii::Either, 0.005)];
 /// The most triangles that are looked at, evenly by number.
 const SAMPLES: usize = 20_000;
 /// How many of them one task looks at.
@@ -26,6 +26,29 @@ enum Radii {
     Inscribed,
     /// Long half axes of the ellipses that have the line's two radii: a flat vessel misses no branch.
     Wide,
+    /// So many inscribed radii, or a fifth more than the branch's usual long half axis, whichever is more: one place
+    /// that is wide may have taken in a branch.
+    Either,
+}
+
+impl Radii {
+    /// How far wall may lie, in inscribed radii.
+    fn limit(self, radii: f64, flatness: Flatness) -> f64 {
+        const BESIDE: f64 = 1.2;
+        match self {
+            Self::Inscribed => radii,
+            Self::Wide => radii * flatness.here,
+            Self::Either => radii.max(BESIDE * flatness.usual),
+        }
+    }
+}
+
+/// Long over short half axis of the ellipses that have the line's two radii.
+#[derive(Debug, Clone, Copy)]
+struct Flatness {
+    here: f64,
+    /// Median of the branch.
+    usual: f64,
 }
 
 /// Areas of the surface, in squared units of the input.
@@ -42,8 +65,14 @@ pub struct Covered {
 /// The area near the line, and far from it: of each triangle that is looked at, by its middle.
 /// O(those x log segments).
 pub fn measure(surface: &Surface, line: &LineTree, graph: &ComponentGraph) -> Covered {
-    let flatness: Vec<f64> = line.segments().iter().map(|segment| flatness(graph, segment)).collect();
-    let line = &Reach { line, widest: flatness.iter().copied().fold(1.0, f64::max), flatness };
+    let here: Vec<f64> = line.segments().iter().map(|segment| flatness(graph, segment)).collect();
+    let usual = usual(line, &here, graph.branches.len());
+    let all = line.segments().iter().zip(here);
+    let flatness: Vec<Flatness> =
+        all.map(|(segment, here)| Flatness { here, usual: usual[segment.branch] }).collect();
+    let most = |of: fn(&Flatness) -> f64| flatness.iter().map(of).fold(1.0, f64::max);
+    let widest = Flatness { here: most(|one| one.here), usual: most(|one| one.usual) };
+    let line = &Reach { line, flatness, widest, cuts: cuts(surface, line) };
     let step = surface.mesh.triangles.len().div_ceil(SAMPLES).max(1);
     let chunks = surface.mesh.triangles.par_chunks(CHUNK * step);
     let parts: Vec<Covered> =
@@ -51,6 +80,33 @@ pub fn measure(surface: &Surface, line: &LineTree, graph: &ComponentGraph) -> Co
     let mut sum = Covered::default();
     parts.iter().for_each(|part| sum.add(part));
     sum
+}
+
+/// The openings that the line reaches: of each its centre, and how far from there its rim may lie. Around a cut aslant
+/// the wall goes on past the line's end.
+fn cuts(surface: &Surface, line: &LineTree) -> Vec<(Point3<f64>, f64)> {
+    /// Triangles at the rim have their middles beside it.
+    const BESIDE: f64 = 1.05;
+    let cut = |opening: &Opening| {
+        let at = |v: u32| surface.mesh.vertices[v as usize];
+        let centre = at(opening.centre);
+        let farthest = opening.rim.iter().map(|&v| (at(v) - centre).norm()).fold(0.0, f64::max);
+        (line.least_share(&centre) < 1.0).then_some((centre, BESIDE * farthest))
+    };
+    surface.openings.iter().filter_map(cut).collect()
+}
+
+/// Of each branch the median over its segments.
+fn usual(line: &LineTree, here: &[f64], branches: usize) -> Vec<f64> {
+    let mut of_branch = vec![Vec::new(); branches];
+    for (segment, flatness) in line.segments().iter().zip(here) {
+        of_branch[segment.branch].push(*flatness);
+    }
+    let median = |mut values: Vec<f64>| {
+        let middle = values.len() / 2;
+        if values.is_empty() { 1.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+    };
+    of_branch.into_iter().map(median).collect()
 }
 
 /// Long over short half axis of the ellipse that has the line's two radii at a segment.
@@ -68,18 +124,19 @@ fn flatness(graph: &ComponentGraph, segment: &Segment) -> f64 {
 struct Reach<'a> {
     line: &'a LineTree,
     /// Of each segment.
-    flatness: Vec<f64>,
-    widest: f64,
+    flatness: Vec<Flatness>,
+    widest: Flatness,
+    /// Centre and reach of the openings that the line ends in.
+    cuts: Vec<(Point3<f64>, f64)>,
 }
 
 impl Reach<'_> {
     /// Whether a place lies within so many radii of any segment; that of `last` is tried first.
     fn covers(&self, place: &Point3<f64>, radii: f64, kind: Radii, last: &mut Option<usize>) -> bool {
-        let limit = |index: usize| if kind == Radii::Wide { radii * self.flatness[index] } else { radii };
+        let limit = |index: usize| kind.limit(radii, self.flatness[index]);
         let again = last.is_some_and(|index| self.line.segments()[index].share(place) <= limit(index));
-        let most = if kind == Radii::Wide { radii * self.widest } else { radii };
         again
-            || self.line.any_near(place, 0.0, most, |index, segment| {
+            || self.line.any_near(place, 0.0, kind.limit(radii, self.widest), |index, segment| {
                 let found = segment.share(place) <= limit(index);
                 if found {
                     *last = Some(index);
@@ -98,6 +155,8 @@ fn of_triangles<'a>(
     const NOTED: usize = 64;
     let mut sum = Covered::default();
     let mut last = None;
+    let at_cut =
+        |place: &Point3<f64>| line.cuts.iter().any(|(centre, reach)| (place - centre).norm() < *reach);
     for corners in triangles {
         let [a, b, c] = corners.map(|v| surface.mesh.vertices[v as usize]);
         let area = 0.5 * (b - a).cross(&(c - a)).norm();
@@ -105,6 +164,9 @@ fn of_triangles<'a>(
         sum.area += area;
         if line.covers(&middle, NEAR, Radii::Inscribed, &mut last) {
             sum.near += area;
+            continue;
+        }
+        if at_cut(&middle) {
             continue;
         }
         let far = FAR.map(|(radii, kind, _)| !line.covers(&middle, radii, kind, &mut last));

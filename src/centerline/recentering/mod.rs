@@ -7,6 +7,7 @@ pub mod joint_collapse;
 pub mod joint_fit;
 pub mod joints;
 pub mod limb;
+pub mod lobes;
 pub mod meeting;
 pub mod sweep;
 pub mod swept_fit;

@@ -20,6 +20,7 @@ use crate::centerline::connection::subsampling::settle_radii;
 use crate::centerline::cut_plane::wall_shape::FLAT;
 use crate::centerline::laplacian_smoothing::branch::observe;
 use crate::centerline::recentering::ends::reach_ends;
+use crate::centerline::recentering::lobes::lobes;
 use crate::centerline::recentering::swept_fit::{Fitted, Search, fit_centre, fit_shape};
 use crate::centerline::recentering::swept_tube::SweptTube;
 use crate::centerline::recentering::swept_wall::{doubt_unusual, hear, wall_beside};
@@ -127,8 +128,9 @@ fn sweep(surface: &Surface, stations: &mut [Station], beyond: [f64; 2]) -> Optio
         return None;
     }
     let mut fitted: Option<(Fitted, Fitted)> = None;
+    let mut heard = Vec::new();
     for round in 0..ROUNDS {
-        let mut heard = hear(&tube, &wall);
+        heard = hear(&tube, &wall);
         if round >= CHOOSING {
             doubt_unusual(&tube, &mut heard);
         }
@@ -156,14 +158,15 @@ fn sweep(surface: &Surface, stations: &mut [Station], beyond: [f64; 2]) -> Optio
         return None;
     }
     let trust = trust(stations, &tube, &centre);
+    let lobes = lobes(&tube, &heard, shape.rung);
     for (i, station) in stations.iter_mut().enumerate() {
-        place(station, &tube, i, trust, shape.haze);
+        place(station, &tube, i, trust, (shape.haze, lobes[i]));
     }
     Some(())
 }
 
 /// Puts a station where the tube has it.
-fn place(station: &mut Station, tube: &SweptTube, i: usize, trust: f64, haze: f64) {
+fn place(station: &mut Station, tube: &SweptTube, i: usize, trust: f64, (haze, lobes): (f64, f64)) {
     /// Short over mean half axis of the flattest wall: one station's ellipse may be no ellipse.
     const THIN: f64 = 0.05;
     station.point += (tube.points[i] - station.point) * trust;
@@ -173,6 +176,7 @@ fn place(station: &mut Station, tube: &SweptTube, i: usize, trust: f64, haze: f6
     let [x, y] = station.shape.ellipse;
     station.shape.nearest = (station.shape.mean - x.hypot(y)).max(THIN * station.shape.mean);
     station.shape.haze = haze;
+    station.shape.lobes = lobes;
     station.shape.slope = tube.slope(i);
 }
 

@@ -94,6 +94,17 @@ pub fn fit_shape(tube: &SweptTube, heard: &[Heard], search: Search, was_flat: bo
     Some(if gain(&ellipse) > price + noise { ellipse } else { circle })
 }
 
+/// The harmonic of that order on top of the tube's shape: cos in `x`, sin in `y`.
+pub fn fit_harmonic(tube: &SweptTube, heard: &[Heard], order: i32, search: Search) -> Option<Fitted> {
+    let values = vec![Point3::origin(); tube.points.len()];
+    let row = |h: &Heard| {
+        let [cos, sin] = h.harmonic(tube, order);
+        Vector3::new(cos, sin, 0.0)
+    };
+    let hold = |_| Matrix3::from_diagonal(&Vector3::z());
+    Problem { tube, heard, values, outside, row, hold, seen: 2.0, order: 2 }.solve(search)
+}
+
 /// The line along the middle of the tube; along itself nothing moves it.
 pub fn fit_centre(tube: &SweptTube, heard: &[Heard], search: Search) -> Option<Fitted> {
     let along = |i: usize| tube.frames[i].t;

@@ -1,6 +1,6 @@
 //! The wall's vertices beside a tube, each heard by the station next to it.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Complex, Point3, Vector3};
 use rustc_hash::FxHashSet;
 
 use crate::mesh::preparation::Surface;
@@ -44,6 +44,19 @@ pub struct Heard {
 }
 
 impl Heard {
+    /// The harmonic of an order in its direction: cos and sin of so many times its angle from the frame's `u`.
+    pub fn harmonic(&self, tube: &SweptTube, order: i32) -> [f64; 2] {
+        let frame = &tube.frames[self.station];
+        let flat = Complex::new(self.direction.dot(&frame.u), self.direction.dot(&frame.v));
+        let turned = (flat / flat.norm().max(f64::MIN_POSITIVE)).powi(order);
+        [turned.re, turned.im]
+    }
+
+    /// Distance from the line where its station stands, in mean radii.
+    pub fn ratio(&self, tube: &SweptTube) -> f64 {
+        (self.distance - tube.slope(self.station) * self.along) / tube.shapes[self.station].x
+    }
+
     /// The terms 1, cos 4, sin 4 in its direction.
     pub fn fourth(&self) -> Vector3<f64> {
         let (cos, sin) = (self.terms.y, self.terms.z);

@@ -1,0 +1,54 @@
+//! Vessels whose sections are no circles: the radius is that of the sphere that fits in.
+
+use rosaline::centerline::Extraction;
+
+use crate::lines::{ends_and_junctions, line_of, points};
+use crate::surfaces::{Ends, straight, sweep};
+
+const LENGTH: f64 = 60.0;
+
+/// The line of a straight open tube with rings 0.8 apart of 48 vertices each, as far from the axis as `wall` says of
+/// their angle.
+fn tube(wall: impl Fn(f64) -> f64) -> Extraction {
+    let section = |_, angle: f64| [wall(angle) * angle.cos(), wall(angle) * angle.sin()];
+    line_of(&sweep(straight(LENGTH), section, [76, 48], Ends::Open))
+}
+
+/// The line is the axis and has that radius, to a share of it; there is nothing to warn of.
+fn check(found: &Extraction, radius: f64, most: f64) {
+    assert_eq!(ends_and_junctions(&found.centerline), (2, 0));
+    assert!(found.warnings.is_empty(), "{:?}", found.warnings);
+    for (point, found) in points(&found.centerline) {
+        assert!(point.x.hypot(point.y) < 0.02 * radius, "{point} is off the axis");
+        assert!((found / radius - 1.0).abs() < most, "{found} at {point} is not {radius}");
+    }
+}
+
+#[test]
+fn in_a_square_the_sphere_touches_the_sides() {
+    // Turned, so that no side is square to an axis of the frame.
+    let wall = |angle: f64| {
+        let angle = angle + 0.3;
+        5.0 / angle.cos().abs().max(angle.sin().abs())
+    };
+    check(&tube(wall), 5.0, 0.02);
+}
+
+#[test]
+fn a_lumen_of_three_lobes_has_the_sphere_between_its_flat_sides() {
+    check(&tube(|angle| 5.0 * (1.0 + 0.06 * (3.0 * angle + 0.4).cos())), 4.7, 0.01);
+}
+
+#[test]
+fn three_lobes_of_an_ellipse_are_heard_on_top_of_it() {
+    let wall = |angle: f64| 5.0 * (1.0 + 0.05 * (2.0 * angle).cos() + 0.04 * (3.0 * angle + 1.0).cos());
+    let nearest =
+        (0..3600).map(|i| wall(f64::from(i) * std::f64::consts::TAU / 3600.0)).fold(f64::INFINITY, f64::min);
+    check(&tube(wall), nearest, 0.01);
+}
+
+#[test]
+fn a_vessel_four_times_as_wide_as_high_misses_no_branch() {
+    let wall = |angle: f64| 1.0 / (angle.cos() / 8.0).hypot(angle.sin() / 2.0);
+    check(&tube(wall), 2.0, 0.02);
+}
