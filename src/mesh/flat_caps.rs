@@ -7,6 +7,7 @@ use std::collections::VecDeque;
 use std::f64::consts::PI;
 
 use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
 use super::TriangleMesh;
@@ -85,6 +86,8 @@ fn take_out(mesh: &mut TriangleMesh, opposite: &mut Vec<u32>, out: &[u32]) {
 struct Region<'a> {
     mesh: &'a TriangleMesh,
     opposite: &'a [u32],
+    /// The triangles' area vectors, each twice the area long.
+    areas: Vec<Vector3<f64>>,
     /// The name of the region that took each triangle last; two to a seed.
     owner: Vec<u32>,
     name: u32,
@@ -102,9 +105,11 @@ impl<'a> Region<'a> {
     fn new(mesh: &'a TriangleMesh, opposite: &'a [u32]) -> Self {
         let count = mesh.triangles.len();
         let (owner, seen) = (vec![NONE; count], vec![0; count]);
+        let areas = (0..count as u32).into_par_iter().map(|t| mesh.area_vector(t)).collect();
         Self {
             mesh,
             opposite,
+            areas,
             owner,
             name: 0,
             seen,
@@ -138,7 +143,7 @@ impl<'a> Region<'a> {
         if self.owner[seed as usize] != NONE {
             return None;
         }
-        let normal = self.mesh.area_vector(seed);
+        let normal = self.areas[seed as usize];
         if self.is_sliver(seed, normal.norm()) {
             return None;
         }
@@ -148,7 +153,7 @@ impl<'a> Region<'a> {
         }
         // The seed may lie at the edge, and lean: what was found tells better what is flat.
         let mean = self.area;
-        let along = |t: &u32| self.mesh.area_vector(*t).dot(&mean);
+        let along = |t: &u32| self.areas[*t as usize].dot(&mean);
         let best = self.triangles.iter().copied().max_by(|a, b| along(a).total_cmp(&along(b)))?;
         let closed = self.flood(best, mean, 2 * seed + 1);
         if !closed || self.fall().abs() < CREASE {
@@ -176,7 +181,7 @@ impl<'a> Region<'a> {
         let (mut at, mut closed) = (0, true);
         while let Some(&t) = self.triangles.get(at) {
             at += 1;
-            self.area += self.mesh.area_vector(t);
+            self.area += self.areas[t as usize];
             for h in 3 * t..3 * t + 3 {
                 let o = self.opposite[h as usize];
                 closed &= o != NONE;
@@ -184,7 +189,7 @@ impl<'a> Region<'a> {
                     continue;
                 }
                 let other = o / 3;
-                let area = self.mesh.area_vector(other);
+                let area = self.areas[other as usize];
                 let (along, square) = (area.dot(&normal), area.norm_squared());
                 let flat = along > 0.0 && along * along > FLAT * FLAT * size * square;
                 if flat || self.is_sliver(other, square.sqrt()) {
@@ -205,7 +210,7 @@ impl<'a> Region<'a> {
             self.owner[t as usize] = GIVEN_UP;
         }
         self.triangles.retain(|t| !hiding.contains(t));
-        self.area = self.triangles.iter().map(|&t| self.mesh.area_vector(t)).sum();
+        self.area = self.triangles.iter().map(|&t| self.areas[t as usize]).sum();
         !hiding.is_empty()
     }
 
@@ -340,7 +345,7 @@ impl<'a> Region<'a> {
                 (arm, arm.dot(normal))
             });
             if corners.iter().all(|corner| corner.1 > 0.0) {
-                before += 0.5 * self.mesh.area_vector(t).norm();
+                before += 0.5 * self.areas[t as usize].norm();
             }
             if before > most {
                 return None;
