@@ -46,7 +46,11 @@ pub fn extract_component(
     let Branching { chains, raised, .. } = &branching;
     let mut network = Network::new(&graph, chains);
     control.report(Stage::CutPlanes, 0.0)?;
-    let owners = owners(surface, &graph, chains);
+    let look = || {
+        let work = network.tracks.par_iter_mut().zip(chains);
+        work.for_each(|(track, chain)| track.rings = rings(surface, &graph, chain));
+    };
+    let (owners, ()) = rayon::join(|| owners(surface, &graph, chains), look);
     let trusted = cut_planes(grid, &graph, (chains, raised), &owners, &mut network, control)?;
     if network.tracks.iter().all(|track| track.stations.iter().all(|s| s.sight != Sight::Clean)) {
         let detail = "no plane cuts it in a closed section that is one vessel's own".to_owned();
@@ -74,7 +78,7 @@ pub fn extract_component(
     Ok(result)
 }
 
-/// Rings, stations and judged sections of every branch; returns which branches have a section of their own.
+/// Stations at the level sets and judged sections of every branch; returns which branches have a section of their own.
 fn cut_planes(
     grid: &TriangleGrid<'_>,
     graph: &ReebGraph,
@@ -99,7 +103,6 @@ fn cut_planes(
     let work = network.tracks.par_iter_mut().zip(chains).zip(&ends).zip(rings_alone).enumerate();
     work.map(|(number, (((track, chain), &(from_tip, to_tip)), ring))| {
         control.cancel.check()?;
-        track.rings = rings(surface, graph, chain);
         leave_caps_out(&mut track.rings, from_tip, to_tip);
         track.stations = stations_of(&track.rings);
         // An opening is no dome: a stump that was cut runs straight to it.

@@ -3,6 +3,7 @@
 
 use std::ops::Range;
 
+use nalgebra::Point3;
 use rayon::prelude::*;
 
 use super::TriangleMesh;
@@ -42,22 +43,43 @@ pub(super) fn leave_cavities_out(
     surfaces
 }
 
+/// What belongs together in a closed soup, and the names that its vertices get.
+pub(super) struct Order {
+    /// Each triangle's component.
+    component: Vec<u32>,
+    /// Each component's triangles in ascending order.
+    members: Vec<Vec<u32>>,
+    /// Each component's vertices in their order.
+    vertices: Vec<Vec<Point3<f64>>>,
+    /// Each vertex's number in its component.
+    vertex_name: Vec<u32>,
+}
+
+impl Order {
+    /// O(triangles).
+    pub(super) fn of(soup: &TriangleMesh, opposite: &[u32]) -> Self {
+        let (component, members) = component_triangles(opposite, soup.triangles.len());
+        let mut vertex_name = vec![NONE; soup.vertices.len()];
+        let walk = |triangles: &Vec<u32>| walk(soup, opposite, triangles, &mut vertex_name);
+        let vertices = members.iter().map(walk).collect();
+        Self { component, members, vertices, vertex_name }
+    }
+}
+
 /// Cuts the closed soup into its connected components, each oriented outward.
 pub(super) fn split_components<E>(
-    soup: TriangleMesh,
-    opposite: Vec<u32>,
+    soup: &TriangleMesh,
+    opposite: &[u32],
     openings: Vec<Opening>,
+    order: Order,
     go_on: impl Fn() -> Result<(), E>,
 ) -> Result<Vec<Component>, E> {
-    let (component, members) = component_triangles(&opposite, soup.triangles.len());
-    let mut vertex_name = vec![NONE; soup.vertices.len()];
+    let Order { component, members, vertices, vertex_name } = order;
     let mut triangle_name = vec![NONE; soup.triangles.len()];
     let mut components = Vec::with_capacity(members.len());
-    for triangles in &members {
+    for (triangles, vertices) in members.iter().zip(vertices) {
         go_on()?;
         let vertex = soup.triangles[triangles[0] as usize][0];
-        let vertices = walk(&soup, &opposite, triangles, &mut vertex_name);
-        go_on()?;
         for (i, &t) in triangles.iter().enumerate() {
             triangle_name[t as usize] = i as u32;
         }

@@ -44,42 +44,51 @@ const SLIVER: f64 = 1e-4;
 /// Owner of what was cut back.
 const GIVEN_UP: u32 = NONE - 1;
 
-/// Takes the triangles of all flat caps out of a soup whose half-edges are matched; returns the vertices of their rims.
-/// O(triangles).
-pub(super) fn open(mesh: &mut TriangleMesh, opposite: &mut Vec<u32>) -> FxHashSet<u32> {
-    let mut rims = FxHashSet::default();
-    let mut out: Vec<u32> = Vec::new();
+/// The flat caps of a surface.
+#[derive(Default)]
+pub(super) struct FlatCaps {
+    pub(super) triangles: Vec<u32>,
+    /// The vertices of their rims.
+    rims: FxHashSet<u32>,
+}
+
+/// Looks for the flat caps of a soup whose half-edges are matched. O(triangles).
+pub(super) fn find(mesh: &TriangleMesh, opposite: &[u32]) -> FlatCaps {
+    let mut found = FlatCaps::default();
     let mut region = Region::new(mesh, opposite);
     for seed in 0..mesh.triangles.len() as u32 {
         if let Some(rim) = region.grow(seed)
             && region.is_cap(&rim)
-            && rim.iter().all(|&h| !rims.contains(&region.origin(h)))
+            && rim.iter().all(|&h| !found.rims.contains(&region.origin(h)))
         {
-            rims.extend(rim.iter().map(|&h| region.origin(h)));
-            out.extend_from_slice(&region.triangles);
+            found.rims.extend(rim.iter().map(|&h| region.origin(h)));
+            found.triangles.extend_from_slice(&region.triangles);
         }
     }
-    if !out.is_empty() {
-        take_out(mesh, opposite, &out);
-    }
-    rims
+    found
 }
 
-/// Drops triangles; where they were, the surface is open.
-fn take_out(mesh: &mut TriangleMesh, opposite: &mut Vec<u32>, out: &[u32]) {
-    let mut name: Vec<u32> = vec![0; mesh.triangles.len()];
-    out.iter().for_each(|&t| name[t as usize] = NONE);
-    let kept = || name.iter().enumerate().filter(|(_, name)| **name != NONE).map(|(t, _)| t);
-    let kept: Vec<usize> = kept().collect();
-    kept.iter().enumerate().for_each(|(number, &t)| name[t] = number as u32);
-    mesh.triangles = kept.iter().map(|&t| mesh.triangles[t]).collect();
-    let renamed = |h: u32| match h {
-        NONE => NONE,
-        h if name[(h / 3) as usize] == NONE => NONE,
-        h => 3 * name[(h / 3) as usize] + h % 3,
-    };
-    *opposite =
-        kept.iter().flat_map(|&t| [3 * t, 3 * t + 1, 3 * t + 2]).map(|h| renamed(opposite[h])).collect();
+impl FlatCaps {
+    /// Drops their triangles; where they were, the surface is open. Returns the vertices of their rims.
+    pub(super) fn take_out(self, mesh: &mut TriangleMesh, opposite: &mut Vec<u32>) -> FxHashSet<u32> {
+        if self.triangles.is_empty() {
+            return self.rims;
+        }
+        let mut name: Vec<u32> = vec![0; mesh.triangles.len()];
+        self.triangles.iter().for_each(|&t| name[t as usize] = NONE);
+        let kept = || name.iter().enumerate().filter(|(_, name)| **name != NONE).map(|(t, _)| t);
+        let kept: Vec<usize> = kept().collect();
+        kept.iter().enumerate().for_each(|(number, &t)| name[t] = number as u32);
+        mesh.triangles = kept.iter().map(|&t| mesh.triangles[t]).collect();
+        let renamed = |h: u32| match h {
+            NONE => NONE,
+            h if name[(h / 3) as usize] == NONE => NONE,
+            h => 3 * name[(h / 3) as usize] + h % 3,
+        };
+        *opposite =
+            kept.iter().flat_map(|&t| [3 * t, 3 * t + 1, 3 * t + 2]).map(|h| renamed(opposite[h])).collect();
+        self.rims
+    }
 }
 
 /// A flat piece of a surface, grown from a triangle.

@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use super::TriangleMesh;
-use super::components::{leave_cavities_out, split_components};
+use super::components::{Order, leave_cavities_out, split_components};
 use super::corner_table::{CornerTable, NONE, next, previous};
 use super::flat_caps;
 use super::matching::{MatchReport, match_half_edges};
@@ -153,11 +153,18 @@ pub fn prepare_while<E: From<PreparationError>>(
     let names;
     (report.split_vertices, names) = split_fans(&mut soup, &opposite);
     go_on()?;
-    let closed = flat_caps::open(&mut soup, &mut opposite);
+    // Of a mesh that needs no cap the vertices are put in order while flat caps are looked for.
+    let is_closed = !opposite.contains(&NONE);
+    let look = || flat_caps::find(&soup, &opposite);
+    let (caps, order) = rayon::join(look, || is_closed.then(|| Order::of(&soup, &opposite)));
+    let order = order.filter(|_| caps.triangles.is_empty());
+    go_on()?;
+    let closed = caps.take_out(&mut soup, &mut opposite);
     let (openings, holes) = cap(&mut soup, &mut opposite, &closed);
     report.holes = holes.renamed(&names);
+    let order = order.unwrap_or_else(|| Order::of(&soup, &opposite));
     go_on()?;
-    let parts = split_components(soup, opposite, openings, &go_on)?;
+    let parts = split_components(&soup, &opposite, openings, order, &go_on)?;
     go_on()?;
     let components = leave_cavities_out(parts, &names, &mut report);
     Ok(Prepared { components, report })

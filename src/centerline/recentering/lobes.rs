@@ -13,14 +13,21 @@ use crate::centerline::recentering::swept_wall::{Heard, outside};
 
 /// The harmonics that lobes may have.
 const ORDERS: [i32; 2] = [3, 4];
+/// Deviation of the wall from its ellipse, in radii, below which lobes are nothing.
+const NOTHING: f64 = 0.003;
 /// Directions that are looked in for the nearest wall.
 const DIRECTIONS: u32 = 64;
 
 /// Of each station, how much nearer its nearest wall is than the short half axis of its ellipse.
 /// `rung`: the stiffness of the tube's shape. O(vertices).
 pub fn lobes(tube: &SweptTube, heard: &[Heard], rung: usize) -> Vec<f64> {
-    let found: Vec<(i32, Fitted)> =
-        ORDERS.iter().filter_map(|&order| shown(tube, heard, order, rung)).collect();
+    let count: f64 = heard.iter().map(|h| h.weight).sum();
+    let squares: f64 = heard.iter().map(|h| outside(tube, h).powi(2) * h.weight).sum();
+    let radius = tube.shapes.iter().map(|shape| shape.x).sum::<f64>() / tube.shapes.len() as f64;
+    let mut found: Vec<(i32, Fitted)> = Vec::new();
+    if squares > count * (NOTHING * radius).powi(2) {
+        found.extend(ORDERS.iter().filter_map(|&order| shown(tube, heard, order, (rung, count, squares))));
+    }
     if found.is_empty() {
         return vec![0.0; tube.points.len()];
     }
@@ -49,10 +56,15 @@ pub fn lobes(tube: &SweptTube, heard: &[Heard], rung: usize) -> Vec<f64> {
 }
 
 /// The harmonic of an order, where the wall shows it.
-fn shown(tube: &SweptTube, heard: &[Heard], order: i32, rung: usize) -> Option<(i32, Fitted)> {
+///
+/// `count`: the vertices by their weight; `squares`: what the ellipse leaves of them.
+fn shown(
+    tube: &SweptTube,
+    heard: &[Heard],
+    order: i32,
+    (rung, count, squares): (usize, f64, f64),
+) -> Option<(i32, Fitted)> {
     let fitted = fit_harmonic(tube, heard, order, Search::From(rung))?;
-    let count: f64 = heard.iter().map(|h| h.weight).sum();
-    let squares: f64 = heard.iter().map(|h| outside(tube, h).powi(2) * h.weight).sum();
     let gain = |fitted: &Fitted| count * (squares / fitted.left.max(f64::MIN_POSITIVE)).ln().max(0.0);
     let explains = gain(&fitted) - fitted.freedom * count.ln();
     if explains <= 0.0 {
