@@ -308,7 +308,8 @@ fn turn(direction: &Vector2<f64>) -> f64 {
         let rest = (tangent.abs() - MIDDLE) / (1.0 + tangent.abs() * MIDDLE);
         (rest * tangent.signum(), tangent.signum() / 12.0)
     };
-    let quarter = 0.125 + known + small_angle(rest) / TAU;
+    // Rounding must not leave the quarter.
+    let quarter = (0.125 + known + small_angle(rest) / TAU).clamp(0.0, 0.25);
     match (direction.x >= 0.0, direction.y >= 0.0) {
         (true, true) => quarter,
         (false, true) => 0.5 - quarter,
