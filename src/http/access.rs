@@ -1,5 +1,6 @@
 //! Who asks, and whether they may: API keys and tokens, their scopes, and whose job is whose.
 
+mod broken;
 mod gate;
 mod jwks;
 mod jwt;
@@ -23,8 +24,8 @@ use super::problem::{FORBIDDEN, INTERNAL_ERROR, KEYS_UNAVAILABLE, Problem, UNAUT
 use super::trace::job_in_path;
 use crate::jobs::JobId;
 
-pub use gate::Gate;
 use gate::Unknown;
+pub use gate::{Gate, GateError};
 pub use jwks::{JwksError, JwksSource};
 pub use jwt::Issuer;
 pub use keys::{Key, KeyError, KeyFile, Scope};
@@ -91,11 +92,14 @@ const LOOK: Duration = Duration::from_secs(2);
 /// or exchanged, or its token has run out.
 pub(super) async fn shut_out(app: &App, caller: &Caller, headers: &HeaderMap) -> Problem {
     let Some(gate) = app.gate() else { return std::future::pending().await };
+    let mut is_doubted = false;
     loop {
         tokio::time::sleep(LOOK).await;
         match gate.caller(bearer(headers)).await {
-            Ok(now) if now == *caller => {}
+            Ok(now) if now == *caller => is_doubted = false,
             Ok(_) => return unauthenticated(&Unknown::Key),
+            // A file that could not be read once, as it was just being exchanged, ends nothing.
+            Err(reason) if reason.is_open() && !is_doubted => is_doubted = true,
             Err(reason) => return unauthenticated(&reason),
         }
     }
@@ -194,8 +198,8 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
 /// 401, as RFC 6750, section 3, has it: an error is named only where something was sent. 503 where it is not known
 /// whether the key is wrong: a client must not throw a valid one away.
 fn unauthenticated(reason: &Unknown) -> Problem {
-    if let Unknown::Unreadable = reason {
-        let detail = format!("{reason}; try again later, the service's operator must mend the file");
+    if reason.is_open() {
+        let detail = format!("{reason}; try again later, the service's operator must see to them");
         return Problem::new(&KEYS_UNAVAILABLE, detail).header(header::RETRY_AFTER, RETRY_AFTER);
     }
     let challenge = match reason {

@@ -13,6 +13,7 @@ use super::audit::Trail;
 use super::counters::Counters;
 use super::idempotency::InFlight;
 use super::limits::Limits;
+use super::operations::health::Faults;
 use super::tls::Tls;
 use super::validation::Validator;
 use crate::jobs::JobService;
@@ -34,6 +35,7 @@ struct Inner {
     tls: Option<Arc<Tls>>,
     webhooks: Option<webhooks::Settings>,
     counters: Counters,
+    faults: Faults,
     closing: CancellationToken,
     requests: TaskTracker,
 }
@@ -64,6 +66,7 @@ impl App {
             tls: tls.map(Arc::new),
             webhooks,
             counters: Counters::default(),
+            faults: Faults::default(),
             closing: CancellationToken::new(),
             requests: TaskTracker::new(),
         })))
@@ -106,6 +109,11 @@ impl App {
 
     pub(super) fn counters(&self) -> &Counters {
         &self.0.counters
+    }
+
+    /// What readiness has told the log of.
+    pub(super) fn faults(&self) -> &Faults {
+        &self.0.faults
     }
 
     /// A place for each upload that may come in at the same time.

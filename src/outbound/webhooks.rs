@@ -65,7 +65,7 @@ pub async fn start(settings: Settings, jobs: &JobService) -> Result<(), WebhookE
     let outbox = jobs.outbox();
     let first = stamp(settings.file.path());
     let mut crew = Crew::new();
-    match settings.file.read()? {
+    match settings.file.read_aside().await? {
         Some(targets) => crew.serve(&settings, &outbox, targets).await?,
         None if settings.must_exist => return Err(settings.file.missing().into()),
         // What waits for the targets of before must not be given up because a file was lost.
@@ -86,7 +86,9 @@ pub async fn start(settings: Settings, jobs: &JobService) -> Result<(), WebhookE
 /// # Errors
 /// When the file cannot be used, or is not there although it must or there are targets out of it.
 pub async fn check(settings: &Settings, jobs: &JobService) -> Result<(), WebhookError> {
-    if settings.file.read()?.is_none() && (settings.must_exist || jobs.outbox().listeners().await? > 0) {
+    if settings.file.read_aside().await?.is_none()
+        && (settings.must_exist || jobs.outbox().listeners().await? > 0)
+    {
         return Err(settings.file.missing().into());
     }
     Ok(())
@@ -130,7 +132,7 @@ async fn follow(settings: Settings, outbox: Outbox, mut crew: Crew, first: Stamp
 }
 
 async fn renew(settings: &Settings, outbox: &Outbox, crew: &mut Crew) -> Result<(), WebhookError> {
-    let targets = settings.file.read()?.ok_or_else(|| settings.file.missing())?;
+    let targets = settings.file.read_aside().await?.ok_or_else(|| settings.file.missing())?;
     let count = targets.len();
     crew.serve(settings, outbox, targets).await?;
     tracing::info!(targets = count, "the webhook targets have changed");

@@ -90,7 +90,11 @@ async fn keys_that_cannot_be_read_are_a_fault_of_the_service() {
         problem(list(&revoked).await.unwrap(), 401, "unauthenticated").await;
         service.assert_alive().await;
         damage(&file);
-        unready(&service, "the file of the keys cannot be read").await;
+        let told = service.log().matches("not ready").count();
+        for _ in 0..3 {
+            unready(&service, "the file of the keys cannot be read").await;
+        }
+        assert_eq!(service.log().matches("not ready").count(), told + 1, "once, not at each probe");
         for key in [&key, &revoked] {
             let response = list(key).await.unwrap();
             assert!(response.headers().contains_key("retry-after"));

@@ -7,7 +7,7 @@ use tokio_util::sync::CancellationToken;
 use super::jwt::TokenError;
 use super::keys::PREFIX;
 use super::ring::Refusal;
-use super::{Caller, Issuer, KeyError, KeyRing};
+use super::{Caller, Issuer, JwksError, KeyError, KeyRing};
 
 /// The keys in force, and the issuer whose tokens are accepted.
 pub struct Gate {
@@ -30,6 +30,22 @@ pub(super) enum Unknown {
     Token(#[from] TokenError),
 }
 
+impl Unknown {
+    /// Whether that is the service's own fault, so that the key or token may be a valid one.
+    pub(super) fn is_open(&self) -> bool {
+        matches!(self, Self::Unreadable | Self::Token(TokenError::Unreadable))
+    }
+}
+
+/// Why it cannot be known who asks.
+#[derive(Debug, thiserror::Error)]
+pub enum GateError {
+    #[error(transparent)]
+    Keys(#[from] KeyError),
+    #[error(transparent)]
+    Issuer(#[from] JwksError),
+}
+
 impl Gate {
     pub fn new(keys: KeyRing, issuer: Option<Issuer>) -> Self {
         Self { keys, issuer }
@@ -40,12 +56,13 @@ impl Gate {
         self.issuer.is_some() || self.keys.is_closed()
     }
 
-    /// Whether the keys can be read.
+    /// Whether the keys, and those of the issuer where they are in a file, can be read. Blocks.
     ///
     /// # Errors
-    /// [`KeyError`] where they cannot.
-    pub(in super::super) fn check(&self) -> Result<(), KeyError> {
-        self.keys.check()
+    /// [`GateError`] where they cannot.
+    pub(in super::super) fn check(&self) -> Result<(), GateError> {
+        self.keys.check()?;
+        Ok(self.issuer.as_ref().map_or(Ok(()), Issuer::check)?)
     }
 
     /// Keeps the issuer's keys fresh until `closing`.

@@ -11,6 +11,7 @@ use serde::Deserialize;
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
+use super::broken::Broken;
 use crate::jobs::operator_file::{Stamp, stamp};
 use crate::outbound::{Client, OutboundError, Url};
 
@@ -91,7 +92,13 @@ struct State {
     keys: Vec<PublicKey>,
     stamp: Stamp,
     fetched: Option<Instant>,
+    /// Of a file that cannot be used now: it is tried again, also when it has not changed.
+    broken: Option<Broken>,
 }
+
+/// There are no keys that a token could be checked with: the file cannot be used, or they were not fetched for too long.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct NoKeys;
 
 impl Jwks {
     /// The keys of a file are read at once; those at a URL come with the first fetch of [`Jwks::follow`], so that a
@@ -104,7 +111,7 @@ impl Jwks {
             JwksSource::File(path) => {
                 let stamp = stamp(&path);
                 let keys = read(&path)?;
-                (Place::File(path), State { keys, stamp, fetched: None })
+                (Place::File(path), State { keys, stamp, ..State::default() })
             }
             JwksSource::Url(url) => {
                 let client = Client::new(url, PATIENCE)?;
@@ -114,19 +121,23 @@ impl Jwks {
         Ok(Self { source, state: RwLock::new(state) })
     }
 
-    /// The key for a token that names `id` and `algorithm`; without an id, the only one of the set that fits.
+    /// The key for a token that names `id` and `algorithm`, if there is one; without an id, the only one of the set that
+    /// fits.
+    ///
+    /// # Errors
+    /// [`NoKeys`] where that is not known.
     pub(super) async fn find(
         self: &Arc<Self>,
         id: Option<&str>,
         algorithm: Algorithm,
-    ) -> Option<DecodingKey> {
+    ) -> Result<Option<DecodingKey>, NoKeys> {
         if let Place::File(path) = &self.source {
             self.renew(path);
         }
-        if let Some(key) = self.known(id, algorithm) {
-            return Some(key);
+        let Place::Url { asked, .. } = &self.source else { return self.known(id, algorithm) };
+        if let Ok(Some(key)) = self.known(id, algorithm) {
+            return Ok(Some(key));
         }
-        let Place::Url { asked, .. } = &self.source else { return None };
         let mut asked = asked.clone().lock_owned().await;
         if asked.is_none_or(|asked| asked.elapsed() >= ASK) {
             *asked = Some(Instant::now());
@@ -142,30 +153,60 @@ impl Jwks {
         self.known(id, algorithm)
     }
 
-    fn known(&self, id: Option<&str>, algorithm: Algorithm) -> Option<DecodingKey> {
+    fn known(&self, id: Option<&str>, algorithm: Algorithm) -> Result<Option<DecodingKey>, NoKeys> {
         let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
-        if state.fetched.is_some_and(|fetched| fetched.elapsed() > STALE) {
-            return None;
+        let is_there = match self.source {
+            Place::File(_) => state.broken.is_none(),
+            Place::Url { .. } => state.fetched.is_some_and(|fetched| fetched.elapsed() <= STALE),
+        };
+        if !is_there {
+            return Err(NoKeys);
         }
         let fits = |key: &&PublicKey| {
             key.key.family() == algorithm.family() && key.algorithm.is_none_or(|only| only == algorithm)
         };
         let mut fitting = state.keys.iter().filter(fits);
-        match id {
-            Some(id) => fitting.find(|key| key.id.as_deref() == Some(id)).map(|key| key.key.clone()),
-            None => fitting.next().filter(|_| fitting.next().is_none()).map(|key| key.key.clone()),
+        let found = match id {
+            Some(id) => fitting.find(|key| key.id.as_deref() == Some(id)),
+            None => fitting.next().filter(|_| fitting.next().is_none()),
+        };
+        Ok(found.map(|key| key.key.clone()))
+    }
+
+    /// Whether the keys can be read where they are in a file: also one that has not changed since it could be. Blocks.
+    ///
+    /// # Errors
+    /// [`JwksError`] where they cannot.
+    pub(super) fn check(&self) -> Result<(), JwksError> {
+        match &self.source {
+            Place::File(path) => read(path).map(drop),
+            Place::Url { .. } => Ok(()),
         }
     }
 
-    /// Reads a file again that has changed. One that cannot be used lets nobody in: a key may have been withdrawn.
+    /// Reads a file again that has changed. One that cannot be used lets nobody in, as a key may have been withdrawn, and
+    /// is tried again.
     fn renew(&self, path: &std::path::Path) {
         let stamp = stamp(path);
-        if self.state.read().unwrap_or_else(PoisonError::into_inner).stamp == stamp {
-            return;
+        {
+            let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
+            if state.stamp == stamp && !state.broken.as_ref().is_some_and(Broken::is_due) {
+                return;
+            }
         }
-        let keys = read(path).inspect_err(|error| tracing::error!(%error, "no token is let in"));
+        let found = read(path);
         let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
-        *state = State { keys: keys.unwrap_or_default(), stamp, fetched: None };
+        state.stamp = stamp;
+        match found {
+            Ok(keys) => (state.keys, state.broken) = (keys, None),
+            Err(error) => {
+                state.keys = Vec::new();
+                // Once for each reason, not at each token.
+                if Broken::note(&mut state.broken, error.to_string()) {
+                    tracing::error!(%error, "no token is let in");
+                }
+            }
+        }
     }
 
     /// Whether the keys were fetched.
@@ -175,7 +216,7 @@ impl Jwks {
         match fetched {
             Ok(keys) => {
                 let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
-                *state = State { keys, stamp: None, fetched: Some(Instant::now()) };
+                *state = State { keys, fetched: Some(Instant::now()), ..State::default() };
                 true
             }
             Err(error) => {

@@ -7,7 +7,7 @@ use jsonwebtoken::{Algorithm, Validation, decode, decode_header};
 use serde::Deserialize;
 use tokio_util::sync::CancellationToken;
 
-use super::jwks::Jwks;
+use super::jwks::{Jwks, NoKeys};
 use super::{JwksError, JwksSource, Principal, Scope};
 
 /// Signatures by a key of which the service knows the public half alone (RFC 7518, section 3.1, and RFC 8037): neither
@@ -41,6 +41,9 @@ pub(super) enum TokenError {
     Algorithm,
     #[error("the token names no key of the issuer")]
     UnknownKey,
+    /// Whether it is valid is not known.
+    #[error("the service has no keys of the issuer now, so it is not known whether this token is valid")]
+    Unreadable,
     #[error("the signature of the token is not by the issuer's key")]
     Signature,
     #[error("the token has expired")]
@@ -121,6 +124,14 @@ impl Issuer {
         Ok(Self { name: name.to_owned(), validation, keys: Arc::new(Jwks::open(keys)?) })
     }
 
+    /// Whether the keys can be read where they are in a file. Blocks.
+    ///
+    /// # Errors
+    /// [`JwksError`] where they cannot.
+    pub(super) fn check(&self) -> Result<(), JwksError> {
+        self.keys.check()
+    }
+
     /// Keeps the keys fresh until `closing`.
     pub(in super::super) fn follow(&self, closing: CancellationToken) {
         let keys = self.keys.clone();
@@ -141,7 +152,8 @@ impl Issuer {
         if !ALGORITHMS.contains(&header.alg) || header.crit.is_some() {
             return Err(TokenError::Algorithm);
         }
-        let key = self.keys.find(header.kid.as_deref(), header.alg).await.ok_or(TokenError::UnknownKey)?;
+        let found = self.keys.find(header.kid.as_deref(), header.alg).await;
+        let key = found.map_err(|NoKeys| TokenError::Unreadable)?.ok_or(TokenError::UnknownKey)?;
         let validation = Validation { algorithms: vec![header.alg], ..self.validation.clone() };
         self.accept(decode::<Claims>(token, &key, &validation)?.claims)
     }

@@ -6,6 +6,7 @@
 use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLock};
 
+use super::broken::Broken;
 use super::keys::{Key, KeyError, hash, id_of, read};
 use super::{Caller, Principal};
 use crate::jobs::operator_file::{Stamp, stamp};
@@ -21,8 +22,8 @@ struct State {
     keys: Vec<Key>,
     /// There has been a key file: from then on nobody gets in without a key, also when it goes.
     closed: bool,
-    /// Why the file cannot be read now, where it cannot: then it is tried again at each request.
-    broken: Option<String>,
+    /// Of a file that cannot be read now: it is tried again, also when it has not changed.
+    broken: Option<Broken>,
 }
 
 /// Why a key lets nobody in.
@@ -85,7 +86,7 @@ impl KeyRing {
         let stamp = stamp(&self.path);
         {
             let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
-            if state.stamp == stamp && state.broken.is_none() {
+            if state.stamp == stamp && !state.broken.as_ref().is_some_and(Broken::is_due) {
                 return;
             }
         }
@@ -102,11 +103,9 @@ impl KeyRing {
             Err(error) => error,
         };
         (state.keys, state.closed) = (Vec::new(), true);
-        let reason = error.to_string();
         // Once for each reason, not at each request.
-        if state.broken.as_ref() != Some(&reason) {
+        if Broken::note(&mut state.broken, error.to_string()) {
             tracing::error!(%error, "no key is let in");
-            state.broken = Some(reason);
         }
     }
 }
@@ -124,6 +123,26 @@ mod tests {
 
     fn name(ring: &KeyRing, token: &str) -> Option<String> {
         ring.caller(Some(token)).ok().and_then(|caller| caller.owner().map(str::to_owned))
+    }
+
+    #[test]
+    fn a_file_that_looks_as_it_did_is_tried_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("keys.json");
+        let token = KeyFile::new(&path).add("pacs", &[Scope::Read], false).unwrap();
+        let ring = KeyRing::open(&path).unwrap();
+        let good = std::fs::read(&path).unwrap();
+        std::fs::write(&path, vec![b'x'; good.len()]).unwrap();
+        let at = std::time::SystemTime::UNIX_EPOCH;
+        let aged = || std::fs::File::options().write(true).open(&path).unwrap().set_modified(at).unwrap();
+        aged();
+        assert_eq!(ring.caller(Some(&token)), Err(Refusal::Unreadable));
+        std::fs::write(&path, &good).unwrap();
+        aged();
+        // Not at each request.
+        assert_eq!(ring.caller(Some(&token)), Err(Refusal::Unreadable));
+        std::thread::sleep(std::time::Duration::from_millis(1100));
+        assert!(name(&ring, &token).is_some());
     }
 
     #[test]

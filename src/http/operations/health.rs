@@ -1,5 +1,7 @@
 //! `GET /healthz` and `GET /readyz`
 
+use std::sync::{Mutex, PoisonError};
+
 use axum::Json;
 use axum::extract::State;
 use axum::http::header;
@@ -8,7 +10,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::super::App;
-use super::super::access::Gate;
+use super::super::access::{Gate, GateError};
 use super::super::document::{self, PlainProblems, ReadyProblems};
 use super::super::problem::{NOT_READY, Problem};
 use crate::jobs::Unready;
@@ -55,7 +57,7 @@ pub async fn healthz() -> Response {
 
 /// Whether the service takes jobs
 ///
-/// Tries the job store, the disk and its free space, and the files of keys and webhook targets. When this fails, send no
+/// Tries the job store, the disk and its free space, and the files of keys, an issuer's keys and webhook targets. When this fails, send no
 /// requests; the problem's `reasons` say why. A clock that
 /// cannot be trusted, and a TLS certificate that is about to expire, are `warnings`: jobs are taken all the same.
 #[utoipa::path(
@@ -79,18 +81,46 @@ pub async fn readyz(State(app): State<App>) -> Result<Response, Problem> {
 
 /// The operator's files that cannot be read. Anyone may ask: where they are and what is in them is for the log.
 async fn unreadable(app: &App) -> Vec<&'static str> {
-    let mut found = Vec::new();
-    if let Some(Err(error)) = app.gate().map(Gate::check) {
-        tracing::error!(%error, "not ready");
-        found.push("the file of the keys cannot be read; `rosaline doctor` and the log say why");
-    }
+    let mut faults = gate(app).await;
     if let Some(settings) = app.webhooks()
         && let Err(error) = webhooks::check(settings, app.jobs()).await
     {
-        tracing::error!(%error, "not ready");
-        found.push("the file of the webhook targets cannot be read; `rosaline doctor` and the log say why");
+        let reason = "the file of the webhook targets cannot be read; `rosaline doctor` and the log say why";
+        faults.push((reason, error.to_string()));
     }
-    found
+    for fault in app.faults().fresh(faults.iter().map(|(_, error)| error)) {
+        tracing::error!(error = fault, "not ready");
+    }
+    faults.into_iter().map(|(reason, _)| reason).collect()
+}
+
+/// What of the keys cannot be read, and why.
+async fn gate(app: &App) -> Vec<(&'static str, String)> {
+    let asked = app.clone();
+    let checked = tokio::task::spawn_blocking(move || asked.gate().map_or(Ok(()), Gate::check)).await;
+    let keys = "the file of the keys cannot be read; `rosaline doctor` and the log say why";
+    let issuer = "the file of the issuer's keys cannot be read; `rosaline doctor` and the log say why";
+    match checked {
+        Ok(Ok(())) => Vec::new(),
+        Ok(Err(error @ GateError::Keys(_))) => vec![(keys, error.to_string())],
+        Ok(Err(error @ GateError::Issuer(_))) => vec![(issuer, error.to_string())],
+        Err(error) => vec![(keys, error.to_string())],
+    }
+}
+
+/// Faults that were told in the log: each once as long as it lasts, not at each probe.
+#[derive(Debug, Default)]
+pub struct Faults(Mutex<Vec<String>>);
+
+impl Faults {
+    /// Those of `now` that were not there before.
+    fn fresh<'f>(&self, now: impl Iterator<Item = &'f String>) -> Vec<String> {
+        let now: Vec<String> = now.cloned().collect();
+        let mut told = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let fresh = now.iter().filter(|fault| !told.contains(fault)).cloned().collect();
+        *told = now;
+        fresh
+    }
 }
 
 fn warnings(app: &App) -> Vec<String> {

@@ -145,8 +145,15 @@ impl TargetFile {
         Ok(self.read()?.unwrap_or_default())
     }
 
-    /// The targets; `None` where there is no file.
-    pub(super) fn read(&self) -> Result<Option<Vec<Target>>, TargetError> {
+    /// The same as [`TargetFile::read`], off the async threads.
+    pub(super) async fn read_aside(&self) -> Result<Option<Vec<Target>>, TargetError> {
+        let file = self.clone();
+        let read = tokio::task::spawn_blocking(move || file.read()).await;
+        read.unwrap_or_else(|error| Err(self.failed(io::Error::other(error))))
+    }
+
+    /// The targets; `None` where there is no file. Blocks.
+    fn read(&self) -> Result<Option<Vec<Target>>, TargetError> {
         let text = match fs::read(&self.path) {
             Ok(text) => text,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
