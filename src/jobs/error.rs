@@ -30,7 +30,12 @@ pub enum JobError {
         "the result {key} is not what was stored: it has {found} bytes, and had {stored}; put a copy of the file back, or \
          delete its job and post the mesh again"
     )]
-    ResultDamaged { key: String, stored: u64, found: u64 },
+    ResultCut { key: String, stored: u64, found: u64 },
+    #[error(
+        "the result {key} is not what was stored: it has {size} bytes as it had, and some are others; put a copy of the file \
+         back, or delete its job and post the mesh again"
+    )]
+    ResultChanged { key: String, size: u64 },
     #[error("the service is shutting down; try again when it is back")]
     ShuttingDown,
     #[error(transparent)]

@@ -208,13 +208,15 @@ impl JobService {
     /// Whether a result's file still has the bytes that were stored: its `ETag` promises them.
     ///
     /// # Errors
-    /// [`JobError::ResultDamaged`] where it was cut short or changed, [`BlobError::NotFound`] where it is gone.
+    /// [`JobError::ResultCut`] where it has another length, [`JobError::ResultChanged`] where it has other bytes,
+    /// [`BlobError::NotFound`] where it is gone.
     pub async fn check_result(&self, artifact: &StoredArtifact) -> Result<(), JobError> {
         let found = self.shared.blobs.info(&artifact.key).await?;
-        if (found.size, &found.sha256) == (artifact.size, &artifact.sha256) {
-            return Ok(());
+        let (key, size) = (artifact.key.clone(), found.size);
+        if size != artifact.size {
+            return Err(JobError::ResultCut { key, stored: artifact.size, found: size });
         }
-        Err(JobError::ResultDamaged { key: artifact.key.clone(), stored: artifact.size, found: found.size })
+        if found.sha256 == artifact.sha256 { Ok(()) } else { Err(JobError::ResultChanged { key, size }) }
     }
 
     /// The bytes of a result, or of a range within it; [`JobService::check_result`] says whether they are its own.
