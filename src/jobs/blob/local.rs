@@ -4,6 +4,7 @@ use std::fs;
 use std::io::{self, Read};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use bytes::{Bytes, BytesMut};
 use futures::{FutureExt, StreamExt, TryStreamExt};
@@ -15,6 +16,7 @@ use tokio::task::JoinHandle;
 
 use crate::jobs::faults::{self, Operation, Side};
 
+use super::checked::Checked;
 use super::{BlobBody, BlobError, BlobFuture, BlobInfo, BlobReader, BlobStore};
 
 /// Bytes gathered before they are hashed and written.
@@ -28,6 +30,7 @@ const SMALL: usize = 64 << 10;
 pub struct LocalBlobs {
     files: LocalFileSystem,
     root: PathBuf,
+    checked: Arc<Checked>,
 }
 
 impl LocalBlobs {
@@ -41,7 +44,7 @@ impl LocalBlobs {
             tracing::info!(files = removed, "removed half-written files");
         }
         let files = LocalFileSystem::new_with_prefix(root)?.with_fsync(true).with_automatic_cleanup(true);
-        Ok(Self { files, root: root.to_owned() })
+        Ok(Self { files, root: root.to_owned(), checked: Checked::new() })
     }
 }
 
@@ -219,8 +222,7 @@ impl BlobStore for LocalBlobs {
         async move {
             let path =
                 self.files.path_to_filesystem(&Key::from(key)).map_err(|error| classified(key, error))?;
-            let looked = tokio::task::spawn_blocking(move || looked_at(&path)).await;
-            match looked.unwrap_or_else(|error| Err(io::Error::other(error))) {
+            match self.checked.info(path, looked_at).await {
                 Ok(info) => Ok(info),
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {
                     Err(BlobError::NotFound { key: key.to_owned() })

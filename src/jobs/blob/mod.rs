@@ -1,5 +1,6 @@
 //! The blob store: inputs and results as files, by key.
 
+mod checked;
 mod local;
 #[cfg(test)]
 mod tests;
@@ -66,7 +67,8 @@ pub trait BlobStore: Send + Sync + 'static {
     /// Opens a blob; `range` must lie within it.
     fn open<'a>(&'a self, key: &'a str, range: Option<Range<u64>>) -> BlobFuture<'a, BlobReader>;
 
-    /// Size and SHA-256 of the bytes that are there now.
+    /// Size and SHA-256 of the bytes that are there now. They may be those found before where nothing says that the blob
+    /// has changed since.
     fn info<'a>(&'a self, key: &'a str) -> BlobFuture<'a, BlobInfo>;
 
     /// A whole blob in memory.
