@@ -73,10 +73,7 @@ impl DataFolder {
     ///
     /// Blocks.
     pub(super) fn check(&self, least: u64) -> Result<(), FolderError> {
-        let probe = self.path.join("probe");
-        let written = fs::write(&probe, b"rosaline");
-        fs::remove_file(&probe).ok();
-        written.map_err(FolderError::Unwritable)?;
+        try_write(&self.path.join("probe")).map_err(FolderError::Unwritable)?;
         let free = free(&self.path).map_err(FolderError::Unwritable)?;
         if free < least { Err(FolderError::NoRoom { free, least }) } else { Ok(()) }
     }
@@ -112,6 +109,15 @@ impl DataFolder {
     pub fn blobs(&self) -> PathBuf {
         self.path.join("blobs")
     }
+}
+
+/// Whether a file can be made and written here; it is removed again.
+///
+/// Blocks.
+pub(super) fn try_write(probe: &Path) -> io::Result<()> {
+    let written = fs::write(probe, b"rosaline");
+    fs::remove_file(probe).ok();
+    written
 }
 
 /// Takes the lock; one that is taken is asked for a few times, as a look at it (`rosaline doctor`) takes it too.

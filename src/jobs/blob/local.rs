@@ -267,11 +267,7 @@ impl BlobStore for LocalBlobs {
     fn check(&self) -> BlobFuture<'_, ()> {
         async move {
             let probe = self.root.join("probe#check");
-            let written = tokio::task::spawn_blocking(move || {
-                let written = fs::write(&probe, b"rosaline");
-                fs::remove_file(&probe).ok();
-                written
-            });
+            let written = tokio::task::spawn_blocking(move || crate::jobs::folder::try_write(&probe));
             match written.await {
                 Ok(Ok(())) => Ok(()),
                 Ok(Err(error)) if error.kind() == io::ErrorKind::StorageFull => Err(BlobError::Full),
