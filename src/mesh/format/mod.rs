@@ -117,9 +117,7 @@ impl Limits {
     fn decoded_of(&self, length: usize) -> usize {
         self.decoded_bytes.min(length.saturating_mul(self.expansion).max(Self::EXPANSION_FREE))
     }
-}
 
-impl Limits {
     /// For surfaces of so many triangles. A closed one without a handle has half as many vertices and two more; each
     /// further part brings two, and open ends half as many as their rims have edges: one in a hundred is room for those.
     pub const fn of_triangles(triangles: usize) -> Self {
