@@ -50,10 +50,11 @@ fn wrapped(router: Router, watched: (Counters, Spans)) -> Router {
     router
         // Uploads are streams with a limit of their own.
         .layer(DefaultBodyLimit::disable())
-        .layer(middleware::from_fn(host::check))
-        .layer(middleware::from_fn(lingering::linger))
         .layer(CatchPanicLayer::custom(|_: Box<dyn std::any::Any + Send>| panicked()))
         .layer(cors::layer())
+        // Around what answers preflights.
+        .layer(middleware::from_fn(host::check))
+        .layer(middleware::from_fn(lingering::linger))
         .layer(middleware::from_fn_with_state(watched, trace::log))
 }
 

@@ -310,6 +310,12 @@ async fn a_request_needs_one_host() {
             );
         }
     }
+    // Also a browser's question whether it may ask.
+    let preflight = "Origin: https://a.example\r\nAccess-Control-Request-Method: POST\r\n";
+    for (hosts, status) in [("", "400"), ("Host: a\r\nHost: a\r\n", "400"), ("Host: a\r\n", "200")] {
+        let text = answer(&format!("OPTIONS /v1/jobs HTTP/1.1\r\n{hosts}{preflight}"));
+        assert!(text.split(' ').nth(1) == Some(status), "{hosts}: {text}");
+    }
     for head in ["GET /healthz HTTP/1.1\r\nHost: a:1\r\n", "GET /healthz HTTP/1.0\r\n"] {
         let text = answer(head);
         assert!(text.split(' ').nth(1) == Some("200"), "{head}: {text}");
