@@ -28,6 +28,8 @@ ENV ROSALINE_LISTEN=0.0.0.0:8080 \
     ROSALINE_LOG_FORMAT=json
 VOLUME /var/lib/rosaline
 EXPOSE 8080
-HEALTHCHECK --interval=10s --timeout=6s --start-period=30s CMD ["rosaline", "health"]
+# Whether it is alive: whatever restarts what is unhealthy must not end running jobs for a full disk. `rosaline health` without --alive
+# says whether requests should be sent.
+HEALTHCHECK --interval=10s --timeout=6s --start-period=30s CMD ["rosaline", "health", "--alive"]
 ENTRYPOINT ["rosaline"]
 CMD ["serve"]

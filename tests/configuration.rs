@@ -77,6 +77,31 @@ fn flags_go_before_variables_and_both_before_the_file() {
 }
 
 #[test]
+fn any_path_may_name_a_file_and_nothing_of_it_comes_after_the_flags() {
+    use std::os::unix::ffi::OsStrExt;
+
+    let (folder, _) = file("");
+    let path = folder.path().join(std::ffi::OsStr::from_bytes(b"\xff.toml"));
+    std::fs::write(&path, "max-queue = 7\njwt-issuer = \"007\"\njwt-audience = \"7\"\njwks = \"x\"\n")
+        .unwrap();
+    let mut flag = std::ffi::OsString::from("--config=");
+    flag.push(&path);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+    without_settings(&mut command);
+    let output = command.args(["serve", "--print-config"]).arg(&flag).arg("--").output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    for line in ["max-queue = 7", "jwt-issuer = \"007\"", "jwt-audience = 7"] {
+        assert!(
+            text.contains(&format!("\n{line}\n")),
+            "{line}: {text} {}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+    }
+    let (_folder, again) = file(&text);
+    assert!(printed(&["--config", &again], &[]).contains("\njwt-issuer = \"007\"\n"));
+}
+
+#[test]
 fn what_is_wrong_in_a_file_is_told_with_its_line() {
     for (text, line, what) in [
         ("workers = 2\n\nmax-uplaod = \"1GiB\"\n", 3, "there is no setting 'max-uplaod'"),

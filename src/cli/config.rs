@@ -1,4 +1,4 @@
-//! The configuration file of `serve` and `doctor`: TOML, whose keys are the names of flags.
+//! The configuration file of `serve`, `doctor` and `health`: TOML, whose keys are the names of flags.
 //!
 //! What it says goes before clap as further flags, where neither a flag nor a variable says it already. So a value is read
 //! by the flag's own rules, and what belongs together is wanted together wherever each part stands.
@@ -6,6 +6,7 @@
 use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::ops::Range;
+use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 
 use clap::error::{ContextKind, ContextValue};
@@ -14,11 +15,15 @@ use clap::{Arg, ArgAction, ArgMatches, Command};
 use toml::de::{DeTable, DeValue};
 
 /// The subcommands that take a file, the flag that names it, and its variable.
-const SUBCOMMANDS: [&str; 2] = ["serve", "doctor"];
+const SUBCOMMANDS: [&str; 3] = [SERVE, "doctor", "health"];
+/// The one whose flags a file may set; the others pass over those that they do not have.
+const SERVE: &str = "serve";
 const FLAG: &str = "config";
 const VARIABLE: &str = "ROSALINE_CONFIG";
 /// Flags that are asked of one run, not set: no keys of a file.
-const NO_KEYS: [&str; 4] = [FLAG, "print-config", "help", "version"];
+const NO_KEYS: [&str; 5] = [FLAG, "print-config", "alive", "help", "version"];
+/// After it no flag comes.
+const END: &str = "--";
 
 /// What is wrong with the file.
 #[derive(Debug, thiserror::Error)]
@@ -58,15 +63,15 @@ impl Config {
     /// [`ConfigError`], with the line.
     pub(super) fn of(command: &Command, arguments: &[OsString]) -> Result<Self, ConfigError> {
         let Some(subcommand) = subcommand(command, arguments) else { return Ok(Self::default()) };
-        let asks = |flag: &str| arguments.iter().any(|argument| argument == flag);
-        let named = value_of(arguments).or_else(|| std::env::var_os(VARIABLE));
+        let asks = |flag: &str| flags(arguments).iter().any(|argument| argument == flag);
+        let named = value_of(flags(arguments)).or_else(|| std::env::var_os(VARIABLE));
         match named {
-            Some(path) if !asks("--help") && !asks("-h") => Self::read(Path::new(&path), subcommand),
+            Some(path) if !asks("--help") && !asks("-h") => Self::read(Path::new(&path), command, subcommand),
             _ => Ok(Self::default()),
         }
     }
 
-    fn read(path: &Path, subcommand: &Command) -> Result<Self, ConfigError> {
+    fn read(path: &Path, command: &Command, subcommand: &Command) -> Result<Self, ConfigError> {
         let shown = path.display().to_string();
         let text =
             fs::read_to_string(path).map_err(|source| ConfigError::Io { path: shown.clone(), source })?;
@@ -80,8 +85,12 @@ impl Config {
         let mut settings = Vec::new();
         for (name, value) in table.into_inner() {
             let (line, key) = (line(name.span()), name.into_inner().into_owned());
-            let known = keys(subcommand).find(|arg| arg.get_long() == Some(&key));
-            let Some(arg) = known else { return Err(ConfigError::Unknown { path: shown, line, key }) };
+            let of = |subcommand| keys(subcommand).find(|arg: &&Arg| arg.get_long() == Some(&key));
+            let arg = match of(subcommand) {
+                Some(arg) => arg,
+                None if command.find_subcommand(SERVE).and_then(of).is_some() => continue,
+                None => return Err(ConfigError::Unknown { path: shown, line, key }),
+            };
             let flag = flag(arg, &key, value.get_ref());
             let flag = flag.map_err(|expected| ConfigError::Kind {
                 path: shown.clone(),
@@ -101,7 +110,7 @@ impl Config {
             let arg = keys(subcommand).find(|arg| arg.get_long() == Some(&setting.key));
             let variable = arg.and_then(Arg::get_env);
             variable.is_some_and(|name| std::env::var_os(name).is_some())
-                || arguments.iter().any(|argument| is_of(argument, &setting.key))
+                || flags(&arguments).iter().any(|argument| is_of(argument, &setting.key))
         };
         let further: Vec<OsString> = self
             .settings
@@ -109,7 +118,8 @@ impl Config {
             .filter(|setting| !is_set(setting))
             .filter_map(|setting| setting.flag.clone())
             .collect();
-        arguments.extend(further);
+        let end = flags(&arguments).len();
+        arguments.splice(end..end, further);
         arguments
     }
 
@@ -131,7 +141,7 @@ impl Config {
         for arg in subcommand(command, arguments).into_iter().flat_map(keys) {
             let (id, key) = (arg.get_id().as_str(), arg.get_long().unwrap_or_default());
             let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
-            let given = arguments.iter().any(|argument| is_of(argument, key));
+            let given = flags(arguments).iter().any(|argument| is_of(argument, key));
             let source = match matches.value_source(id) {
                 Some(ValueSource::CommandLine) if given || !self.sets(key) => "flag",
                 Some(ValueSource::CommandLine) => "file",
@@ -160,6 +170,12 @@ fn keys(subcommand: &Command) -> impl Iterator<Item = &Arg> {
     subcommand.get_arguments().filter(|arg| arg.get_long().is_some_and(|long| !NO_KEYS.contains(&long)))
 }
 
+/// The arguments before [`END`].
+fn flags(arguments: &[OsString]) -> &[OsString] {
+    let end = arguments.iter().position(|argument| argument == END).unwrap_or(arguments.len());
+    &arguments[..end]
+}
+
 /// Whether an argument is this flag, with its value behind it or in it.
 fn is_of(argument: &OsStr, key: &str) -> bool {
     let text = argument.to_string_lossy();
@@ -169,9 +185,10 @@ fn is_of(argument: &OsStr, key: &str) -> bool {
 /// The value of [`FLAG`] among the arguments.
 fn value_of(arguments: &[OsString]) -> Option<OsString> {
     let place = arguments.iter().position(|argument| is_of(argument, FLAG))?;
-    let text = arguments[place].to_string_lossy();
-    match text.split_once('=') {
-        Some((_, value)) => Some(value.into()),
+    // A path need be no text.
+    let given = arguments[place].as_bytes();
+    match given.iter().position(|&byte| byte == b'=') {
+        Some(equals) => Some(OsStr::from_bytes(&given[equals + 1..]).to_owned()),
         None => arguments.get(place + 1).cloned(),
     }
 }
@@ -192,7 +209,9 @@ fn flag(arg: &Arg, key: &str, value: &DeValue<'_>) -> Result<Option<OsString>, &
 
 /// A value as TOML has it.
 fn quoted(arg: &Arg, value: &str) -> String {
-    if matches!(arg.get_action(), ArgAction::SetTrue) || value.parse::<u64>().is_ok() {
+    // TOML's whole numbers have 64 bits with a sign, and no zeros before them.
+    let is_number = value.parse::<i64>().is_ok_and(|number| number.to_string() == value);
+    if matches!(arg.get_action(), ArgAction::SetTrue) || is_number {
         return value.to_owned();
     }
     // TOML's basic strings have JSON's escapes.

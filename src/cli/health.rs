@@ -10,6 +10,12 @@ const PATIENCE: Duration = Duration::from_secs(5);
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
+    /// Configuration file of the service, of which the settings below are read. Flags and variables go before it.
+    #[arg(long, env = "ROSALINE_CONFIG", value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Ask only whether it is alive: a service that is not ready may be at work on jobs, and a restart helps it little.
+    #[arg(long)]
+    alive: bool,
     /// Address of the service, as given to `serve --listen`.
     #[arg(long, env = "ROSALINE_LISTEN", default_value = "127.0.0.1:8080", value_name = "HOST:PORT")]
     listen: String,
@@ -18,7 +24,7 @@ pub struct Args {
     tls_cert: Option<PathBuf>,
 }
 
-/// Asks `GET /readyz`; anything but 200 is a failure that quotes the status.
+/// Asks `GET /readyz`, or `/healthz`; anything but 200 is a failure that quotes the status.
 pub fn run(args: Args) -> Result<(), Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(ask(args))
@@ -35,7 +41,8 @@ async fn ask(args: Args) -> Result<(), Failure> {
         // The certificate's names are those that other machines use. Nothing secret is sent.
         .tls_danger_accept_invalid_certs(true)
         .build()?;
-    let answer = client.get(format!("{scheme}://{address}/readyz")).send().await;
+    let (path, state) = if args.alive { ("healthz", "alive") } else { ("readyz", "ready") };
+    let answer = client.get(format!("{scheme}://{address}/{path}")).send().await;
     let answer = answer.map_err(|error| {
         let cause = Failure::from(error.without_url()).0;
         Failure::new(format!("no service answers on {scheme}://{address}: {cause}"))
@@ -44,5 +51,5 @@ async fn ask(args: Args) -> Result<(), Failure> {
     if status == reqwest::StatusCode::OK {
         return Ok(());
     }
-    Err(Failure::new(format!("the service on {address} is not ready: it answered '{status}'")))
+    Err(Failure::new(format!("the service on {address} is not {state}: it answered '{status}'")))
 }

@@ -48,7 +48,7 @@ enum Command {
     Webhooks(webhooks::Args),
     /// Look whether the service would work with these settings: exit code 0 when nothing is wrong.
     Doctor(Box<serve::Args>),
-    /// Ask a running service whether it is ready: exit code 0 when it is.
+    /// Ask a running service whether it is ready, or alive: exit code 0 when it is.
     Health(health::Args),
     /// Work off one job, of which stdin tells: the service starts this.
     #[command(hide = true)]

@@ -71,6 +71,24 @@ async fn the_health_command_asks_the_service() {
     assert!(health(service.address()).status.success());
     let port = service.address().rsplit(':').next().unwrap().to_owned();
     assert!(health(&format!("0.0.0.0:{port}")).status.success(), "as a container has it in ROSALINE_LISTEN");
+    // What its file says of the address is enough, and what is not the address's goes by it.
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("rosaline.toml");
+    std::fs::write(&config, format!("max-queue = 7\nlisten = \"{}\"\n", service.address())).unwrap();
+    let by_file = |more: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+        without_settings(&mut command);
+        command.arg("health").args(more).env("ROSALINE_CONFIG", &config).output().unwrap()
+    };
+    assert!(by_file(&[]).status.success());
+    // A service that is not ready is alive.
+    let (blobs, away) = (service.data().join("blobs"), service.data().join("away"));
+    std::fs::rename(&blobs, &away).unwrap();
+    assert!(String::from_utf8_lossy(&by_file(&[]).stderr).contains("is not ready"));
+    assert!(by_file(&["--alive"]).status.success());
+    std::fs::rename(&away, &blobs).unwrap();
+    std::fs::write(&config, "lisetn = \"127.0.0.1:1\"\n").unwrap();
+    assert!(String::from_utf8_lossy(&by_file(&[]).stderr).contains("no setting 'lisetn'"));
     let address = service.address().to_owned();
     drop(service);
     let output = health(&address);

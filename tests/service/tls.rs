@@ -124,6 +124,9 @@ async fn a_job_goes_over_tls_and_nothing_goes_beside_it() {
         command.args(arguments).output().unwrap().status.success()
     };
     assert!(health(&["--tls-cert", text(&files.cert)]) && !health(&[]));
+    let config = files.cert.with_extension("toml");
+    std::fs::write(&config, format!("tls-cert = {0:?}\ntls-key = {0:?}\n", text(&files.cert))).unwrap();
+    assert!(health(&["--config", text(&config)]));
 }
 
 #[tokio::test]
