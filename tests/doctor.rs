@@ -168,12 +168,9 @@ async fn results_that_are_missing_or_cut_short_are_told() {
     let good = fs::read(&file).unwrap();
     fs::write(&file, &good[..good.len() / 2]).unwrap();
     let id = job.file_name().unwrap().to_str().unwrap();
-    wrong(
-        &mut doctor(data.path()),
-        &format!("results of 1 jobs are missing or have another length, those of {id}"),
-    );
+    wrong(&mut doctor(data.path()), &format!("the results of job {id} are missing or have another length"));
     fs::remove_file(&file).unwrap();
-    wrong(&mut doctor(data.path()), "results of 1 jobs");
+    wrong(&mut doctor(data.path()), "the results of job");
     fs::write(&file, &good).unwrap();
     assert!(asked(&mut doctor(data.path())).0);
 }
@@ -192,7 +189,7 @@ async fn keys_and_addresses_that_do_not_fit_are_told() {
     keys.args(["keys", "add", "pacs", "--scope", "read", "--data"]).arg(data.path());
     assert!(keys.output().unwrap().status.success());
     let (well, said) = asked(doctor(data.path()).args(["--listen", "0.0.0.0:0"]));
-    assert!(well && said.contains("1 keys are in force") && said.contains("in the clear"), "{said}");
+    assert!(well && said.contains("1 key is in force") && said.contains("in the clear"), "{said}");
     let file = data.path().join("keys.json");
     fs::set_permissions(&file, fs::Permissions::from_mode(0o644)).unwrap();
     wrong(&mut doctor(data.path()), "the key file");
@@ -203,6 +200,12 @@ async fn keys_and_addresses_that_do_not_fit_are_told() {
     wrong(&mut doctor(data.path()), "every key is revoked");
     fs::write(&file, "{").unwrap();
     wrong(&mut doctor(data.path()), "nobody is let in");
+    wrong(doctor(data.path()).args(["--keys", "/nowhere/keys.json"]), "--keys /nowhere/keys.json");
+    fs::remove_file(&file).unwrap();
+    assert!(asked(&mut doctor(data.path())).0, "its jobs belong to nobody");
+    changed(data.path(), "UPDATE jobs SET owner = 'pacs'").await;
+    wrong(&mut doctor(data.path()), "belong to somebody");
+    assert!(asked(doctor(data.path()).arg("--insecure")).0);
 }
 
 #[tokio::test]

@@ -9,7 +9,7 @@ use std::process::Command;
 use super::Failure;
 use super::serve::{self, settings};
 use crate::http::Tls;
-use crate::http::access::{Issuer, KeyFile};
+use crate::http::access::{Issuer, KeyError, KeyFile};
 use crate::jobs::checkup::{self, Finding};
 use crate::jobs::isolation::program;
 use crate::jobs::{Clock, SystemClock};
@@ -29,8 +29,8 @@ pub fn run(args: serve::Args) -> Result<(), Failure> {
     }
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     found.extend(runtime.block_on(checkup::database(&args.data, now)));
-    let keys = args.keys.clone().unwrap_or_else(|| args.data.join("keys.json"));
-    let (has_keys, keys) = keys_of(&keys, args.jwt_issuer.is_some());
+    let has_owners = runtime.block_on(checkup::has_owners(&args.data)).unwrap_or(false);
+    let (has_keys, keys) = keys_of(&args, has_owners);
     found.extend(keys);
     found.extend(issuer(&args));
     found.extend(certificate(&args));
@@ -63,19 +63,17 @@ fn tell(found: &[Finding]) -> Result<(), Failure> {
 /// Whether the largest uploads fit on the disk, beside the room that is kept for when it is full.
 fn room(args: &serve::Args) -> Finding {
     let gib = |bytes: u64| bytes as f64 / f64::from(1 << 30);
-    let free = match checkup::free(&args.data) {
-        Ok(free) => free.saturating_sub(checkup::ROOM as u64),
+    let all = match checkup::free(&args.data) {
+        Ok(free) => free,
         Err(error) => return Finding::Note(format!("how much space is free is not known: {error}")),
     };
+    let free = all.saturating_sub(checkup::ROOM as u64);
     let (largest, most) = (args.max_upload.0, args.max_uploads.get() as u64);
     let least = args.min_free.0;
     match free / largest {
-        _ if free < least => Finding::wrong(
-            format!(
-                "{} MiB are free on the data folder's disk and --min-free is {}",
-                free >> 20,
-                least >> 20
-            ),
+        // As readiness reckons it.
+        _ if all < least => Finding::wrong(
+            format!("{} MiB are free on the data folder's disk and --min-free is {}", all >> 20, least >> 20),
             "free space: the service says that it is not ready",
         ),
         0 => Finding::wrong(
@@ -96,14 +94,13 @@ fn room(args: &serve::Args) -> Finding {
 }
 
 /// Whether there are keys, and what is to be said of them.
-fn keys_of(path: &Path, has_issuer: bool) -> (bool, Vec<Finding>) {
+fn keys_of(args: &serve::Args, has_owners: bool) -> (bool, Vec<Finding>) {
+    let path = args.keys.clone().unwrap_or_else(|| args.data.join("keys.json"));
     if !path.exists() {
-        let open = "no key was made: whoever reaches the address may do everything".to_owned();
-        let found = if has_issuer { Vec::new() } else { vec![Finding::Note(open)] };
-        return (false, found);
+        return (false, without_keys(args, &path, has_owners).into_iter().collect());
     }
-    let mut found: Vec<Finding> = checkup::secrecy(path, "the key file", "600").into_iter().collect();
-    found.push(match KeyFile::new(path).list() {
+    let mut found: Vec<Finding> = checkup::secrecy(&path, "the key file", "600").into_iter().collect();
+    found.push(match KeyFile::new(&path).list() {
         Err(error) => Finding::wrong(
             error.to_string(),
             "nobody is let in: put a copy back, or remove it and make new keys",
@@ -112,10 +109,27 @@ fn keys_of(path: &Path, has_issuer: bool) -> (bool, Vec<Finding>) {
             0 => {
                 Finding::wrong("every key is revoked: nobody is let in", "make one with 'rosaline keys add'")
             }
+            1 => Finding::Well("1 key is in force".to_owned()),
             active => Finding::Well(format!("{active} keys are in force")),
         },
     });
     (true, found)
+}
+
+/// What is to be said where there is no file of keys.
+fn without_keys(args: &serve::Args, path: &Path, has_owners: bool) -> Option<Finding> {
+    let path = path.display().to_string();
+    let no_start = "the service does not start";
+    if args.keys.is_some() {
+        return Some(Finding::wrong(KeyError::Named { path }.to_string(), no_start));
+    }
+    if args.jwt_issuer.is_some() {
+        return None;
+    }
+    if has_owners && !args.insecure {
+        return Some(Finding::wrong(KeyError::Lost { path }.to_string(), no_start));
+    }
+    Some(Finding::Note("no key was made: whoever reaches the address may do everything".to_owned()))
 }
 
 /// Whether the issuer's keys can be read; a URL is not asked.

@@ -15,9 +15,10 @@ use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
 use super::Failure;
-use crate::http::access::{Gate, Issuer, KeyRing};
+use crate::http::access::{Gate, Issuer, KeyError, KeyRing};
 use crate::http::audit::Trail;
 use crate::http::{self, App, Limits, Tls};
+use crate::jobs::checkup;
 use crate::jobs::isolation::{Isolated, JOB_MEMORY};
 use crate::jobs::{JobService, Retention, Settings, Spans, TooManyWorkers, log_panics_without_text};
 use crate::mesh;
@@ -58,7 +59,31 @@ async fn serve(args: Args, spans: Spans) -> Result<(), Failure> {
         ))
     })?;
     let address = listener.local_addr()?;
-    let limits = Limits {
+    let limits = limits(&args);
+    let gate = gate(&args).await?;
+    check_open(address, &gate, args.insecure)?;
+    let pair = args.tls_cert.as_ref().zip(args.tls_key.as_ref());
+    let tls = pair.map(|(cert, key)| Tls::open(cert, key)).transpose()?;
+    let (is_plain, is_open) = (tls.is_none(), !gate.is_closed());
+    let memory = NonZeroU64::new(limits.job_memory).unwrap_or(JOB_MEMORY);
+    let runner = Arc::new(Isolated::new(limits.mesh, memory, args.max_crashes));
+    let jobs = JobService::open(Settings { spans, ..settings(&args)? }, runner).await?;
+    let trail = trail(&args)?;
+    let webhooks = webhook_settings(&args);
+    webhooks::start(webhooks.clone(), &jobs).await?;
+    let app = App::new(jobs, limits, Some(gate), Some(trail), tls, Some(webhooks))?;
+    // For people and for scripts that asked for port 0; a closed stdout leaves nobody to tell.
+    let scheme = if is_plain { "http" } else { "https" };
+    let _ = writeln!(std::io::stdout(), "listening on {scheme}://{address}");
+    warn(address, is_plain, is_open);
+    tracing::info!(%address, "ready");
+    http::serve(listener, app, stop, args.grace.0).await?;
+    tracing::info!("stopped");
+    Ok(())
+}
+
+fn limits(args: &Args) -> Limits {
+    Limits {
         upload_bytes: args.max_upload.0,
         upload_idle: args.upload_idle.0,
         head: args.head_timeout.0,
@@ -69,50 +94,37 @@ async fn serve(args: Args, spans: Spans) -> Result<(), Failure> {
         jobs_per_principal: args.max_jobs_each.get(),
         run: args.max_run.0,
         job_memory: args.max_memory.0,
-        mesh: mesh_limits(&args),
+        mesh: mesh::format::Limits::of_triangles(args.max_triangles.get()),
         ..Limits::default()
-    };
-    let gate = gate(&args)?;
-    check_open(address, &gate, args.insecure)?;
-    let tls = args
-        .tls_cert
-        .as_ref()
-        .zip(args.tls_key.as_ref())
-        .map(|(cert, key)| Tls::open(cert, key))
-        .transpose()?;
-    let is_open = !gate.is_closed();
-    let memory = NonZeroU64::new(limits.job_memory).unwrap_or(JOB_MEMORY);
-    let runner = Arc::new(Isolated::new(limits.mesh, memory, args.max_crashes));
-    let jobs = JobService::open(Settings { spans, ..settings(&args)? }, runner).await?;
+    }
+}
+
+fn trail(args: &Args) -> Result<Trail, Failure> {
     let path = args.audit.clone().unwrap_or_else(|| args.data.join("audit.jsonl"));
-    let trail = Trail::open(&path, args.audit_rotate.0).map_err(|error| {
+    Trail::open(&path, args.audit_rotate.0).map_err(|error| {
         Failure::new(format!(
             "cannot add to the audit trail {}: {error}; choose another with --audit",
             path.display()
         ))
-    })?;
-    let webhooks = webhook_settings(&args);
-    webhooks::start(webhooks.clone(), &jobs).await?;
-    let is_plain = tls.is_none();
-    let app = App::new(jobs, limits, Some(gate), Some(trail), tls, Some(webhooks))?;
-    // For people and for scripts that asked for port 0; a closed stdout leaves nobody to tell.
-    let scheme = if is_plain { "http" } else { "https" };
-    let _ = writeln!(std::io::stdout(), "listening on {scheme}://{address}");
+    })
+}
+
+/// Says who may read along, and who may come in.
+fn warn(address: SocketAddr, is_plain: bool, is_open: bool) {
     if is_plain && !is_local(address) {
         tracing::warn!(%address, "without TLS keys and meshes cross the network in the clear: set --tls-cert and --tls-key");
     }
     if is_open {
         tracing::warn!(%address, "no key is needed: whoever reaches this address may see, make and delete every job");
     }
-    tracing::info!(%address, "ready");
-    http::serve(listener, app, stop, args.grace.0).await?;
-    tracing::info!("stopped");
-    Ok(())
 }
 
 /// Who is let in: the holders of keys, and of tokens where an issuer is set.
-fn gate(args: &Args) -> Result<Gate, Failure> {
-    let keys = KeyRing::open(args.keys.clone().unwrap_or_else(|| args.data.join("keys.json")))?;
+async fn gate(args: &Args) -> Result<Gate, Failure> {
+    let keys = match &args.keys {
+        Some(named) => KeyRing::open_named(named)?,
+        None => KeyRing::open(args.data.join("keys.json"))?,
+    };
     let issuer = match (&args.jwt_issuer, &args.jwt_audience, &args.jwks) {
         (Some(issuer), Some(audience), Some(jwks)) => {
             if jwks.is_in_the_clear() {
@@ -124,7 +136,11 @@ fn gate(args: &Args) -> Result<Gate, Failure> {
         }
         _ => None,
     };
-    Ok(Gate::new(keys, issuer))
+    let gate = Gate::new(keys, issuer);
+    if !gate.is_closed() && !args.insecure && checkup::has_owners(&args.data).await? {
+        return Err(KeyError::Lost { path: args.data.join("keys.json").display().to_string() }.into());
+    }
+    Ok(gate)
 }
 
 fn is_local(address: SocketAddr) -> bool {
@@ -153,10 +169,6 @@ fn webhook_settings(args: &Args) -> webhooks::Settings {
         schedule: Schedule { first: args.webhook_retry.0, attempts: args.webhook_attempts },
         timeout: args.webhook_timeout.0,
     }
-}
-
-fn mesh_limits(args: &Args) -> mesh::format::Limits {
-    mesh::format::Limits::of_triangles(args.max_triangles.get())
 }
 
 pub(super) fn settings(args: &Args) -> Result<Settings, TooManyWorkers> {

@@ -1,5 +1,6 @@
 //! Looks at a data folder without using it: for `rosaline doctor`, also while a service runs there.
 
+use std::cmp::Ordering;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::Path;
@@ -127,15 +128,39 @@ pub async fn database(path: &Path, now_ms: i64) -> Vec<Finding> {
     }
 }
 
+/// Whether there are jobs that belong to somebody. Reads only.
+///
+/// # Errors
+/// When the database cannot be read.
+pub async fn has_owners(path: &Path) -> Result<bool, sqlx::Error> {
+    let file = path.join("jobs.sqlite");
+    if !file.exists() {
+        return Ok(false);
+    }
+    let mut store = connected(&file).await?;
+    // Before the first start has ended there is no table, and that of an old version has no owners.
+    let column = "SELECT COUNT(*) FROM pragma_table_info('jobs') WHERE name = 'owner'";
+    let mut count: i64 = sqlx::query_scalar(column).fetch_one(&mut store).await?;
+    if count > 0 {
+        let sql = "SELECT COUNT(*) FROM (SELECT 1 FROM jobs WHERE owner IS NOT NULL LIMIT 1) AS owned";
+        count = sqlx::query_scalar(sql).fetch_one(&mut store).await?;
+    }
+    store.close().await?;
+    Ok(count > 0)
+}
+
+async fn connected(file: &Path) -> Result<AnyConnection, sqlx::Error> {
+    sqlx::any::install_default_drivers();
+    // Without a log of changes nobody writes: no file is made beside the database to read it.
+    let calm = !file.with_extension("sqlite-wal").exists();
+    AnyConnection::connect(&format!("sqlite://{}?mode=ro&immutable={calm}", percent_encoded(file))).await
+}
+
 /// How far a job may be ahead of the clock.
 const AHEAD_MS: i64 = 60 * 60 * 1000;
 
 async fn examine(file: &Path, now_ms: i64) -> Result<Vec<Finding>, sqlx::Error> {
-    sqlx::any::install_default_drivers();
-    // Without a log of changes nobody writes: no file is made beside the database to read it.
-    let calm = !file.with_extension("sqlite-wal").exists();
-    let url = format!("sqlite://{}?mode=ro&immutable={calm}", percent_encoded(file));
-    let mut store = AnyConnection::connect(&url).await?;
+    let mut store = connected(file).await?;
     let integrity: String = sqlx::query_scalar("SELECT integrity_check FROM pragma_integrity_check LIMIT 1")
         .fetch_one(&mut store)
         .await?;
@@ -148,32 +173,45 @@ async fn examine(file: &Path, now_ms: i64) -> Result<Vec<Finding>, sqlx::Error> 
         sqlx::migrate!("src/jobs/store/migrations").iter().map(|each| each.version).max().unwrap_or(0);
     let results = if version == known { results(&mut store, file).await? } else { None };
     store.close().await?;
+    let mut found = vec![wholeness(&integrity, jobs)];
+    found.extend(results);
+    found.push(form(version, known));
+    found.extend(timeliness(newest, now_ms));
+    Ok(found)
+}
+
+fn wholeness(integrity: &str, jobs: i64) -> Finding {
     // One line, whatever it lists.
     let integrity = integrity.split_whitespace().collect::<Vec<_>>().join(" ");
-    let mut found = Vec::new();
-    found.push(if integrity == "ok" {
-        Finding::Well(format!("the job database is whole: {jobs} jobs"))
-    } else {
-        Finding::wrong(
+    match (integrity.as_str(), jobs) {
+        ("ok", 1) => Finding::Well("the job database is whole: 1 job".to_owned()),
+        ("ok", _) => Finding::Well(format!("the job database is whole: {jobs} jobs")),
+        _ => Finding::wrong(
             format!("the job database is damaged: {integrity}"),
             "stop the service and put a copy back that was made while it was stopped",
-        )
-    });
-    found.extend(results);
-    found.push(match version.cmp(&known) {
-        std::cmp::Ordering::Equal => Finding::Well(format!("the job database has this version's form, {known}")),
-        std::cmp::Ordering::Less => Finding::Note(format!(
+        ),
+    }
+}
+
+fn form(version: i64, known: i64) -> Finding {
+    match version.cmp(&known) {
+        Ordering::Equal => Finding::Well(format!("the job database has this version's form, {known}")),
+        Ordering::Less => Finding::Note(format!(
             "the job database has the form {version}; the next start brings it to {known}, and older versions \
              cannot use it then: keep a copy"
         )),
-        std::cmp::Ordering::Greater => Finding::wrong(
+        Ordering::Greater => Finding::wrong(
             format!("the job database has the form {version} of a newer version; this one knows {known}"),
             "install that version again, or use another data folder",
         ),
-    });
+    }
+}
+
+/// What the newest job's time says of this machine's clock.
+fn timeliness(newest: i64, now_ms: i64) -> Option<Finding> {
     if newest > now_ms.saturating_add(AHEAD_MS) {
         let hours = (newest - now_ms) / 3_600_000;
-        found.push(Finding::wrong(
+        return Some(Finding::wrong(
             format!("the newest job is {hours} hours ahead of this machine's clock"),
             "set the clock; jobs made meanwhile are kept longer than they should be",
         ));
@@ -181,11 +219,11 @@ async fn examine(file: &Path, now_ms: i64) -> Result<Vec<Finding>, sqlx::Error> 
     let silent = now_ms.saturating_sub(newest);
     if newest > 0 && u128::try_from(silent).is_ok_and(|silent| silent > SILENCE.as_millis()) {
         let days = silent / 86_400_000;
-        found.push(Finding::Note(format!(
+        return Some(Finding::Note(format!(
             "by this machine's clock no job came for {days} days: for a day after the next start nothing is removed for its age"
         )));
     }
-    Ok(found)
+    None
 }
 
 /// Whether every result's file is there with its length; what is in them is looked at when they are asked for.
@@ -217,11 +255,15 @@ async fn results(store: &mut AnyConnection, database: &Path) -> Result<Option<Fi
             first.get_or_insert(id);
         }
     }
-    Ok(first.map(|id| {
-        Finding::wrong(
+    Ok(first.map(|id| match count {
+        1 => Finding::wrong(
+            format!("the results of job {id} are missing or have another length"),
+            "put copies of their files back, or delete this job and have its mesh posted again",
+        ),
+        _ => Finding::wrong(
             format!("results of {count} jobs are missing or have another length, those of {id} first"),
             "put copies of their files back, or delete these jobs and have their meshes posted again",
-        )
+        ),
     }))
 }
 

@@ -73,6 +73,41 @@ async fn others_are_let_in_with_a_key_or_when_the_operator_says_so() {
     assert_eq!(with(service.get("/v1/jobs"), &key).send().await.unwrap().status(), 200);
 }
 
+/// A file of keys that is away does not open what it closed.
+#[tokio::test]
+async fn a_service_whose_key_file_is_away_does_not_start_open() {
+    let data = Arc::new(tempfile::tempdir().unwrap());
+    let refused = |arguments: &[&str], words: &[&str]| {
+        let output = command(data.path()).args(arguments).output().unwrap();
+        let text = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{text}");
+        let line = text.lines().last().unwrap();
+        assert!(words.iter().all(|word| line.contains(word)), "{line}");
+    };
+    let named = data.path().join("other.json");
+    let named = named.to_str().unwrap();
+    for more in [&[][..], &["--insecure"]] {
+        refused(&[&["--keys", named], more].concat(), &["was named", "--keys", "other.json", "keys add"]);
+    }
+    let config = data.path().join("rosaline.toml");
+    std::fs::write(&config, format!("keys = \"{named}\"\n")).unwrap();
+    refused(&["--config", config.to_str().unwrap()], &["was named", "other.json"]);
+    // Whom no job belongs to, the lost file takes nothing from.
+    assert_eq!(Service::start_on(data.clone(), &[]).get("/v1/jobs").send().await.unwrap().status(), 200);
+    let key = made(&data, &["add", "pacs", "--scope", "submit,read"]);
+    let service = Service::start_on(data.clone(), &[]);
+    job(&service, &key, "").await;
+    drop(service);
+    std::fs::rename(data.path().join("keys.json"), data.path().join("copy.json")).unwrap();
+    refused(&[], &["belong to somebody", "keys.json", "keys add", "--insecure"]);
+    let service = Service::start_on(data.clone(), &["--insecure"]);
+    assert_eq!(service.get("/v1/jobs").send().await.unwrap().status(), 200);
+    drop(service);
+    std::fs::rename(data.path().join("copy.json"), data.path().join("keys.json")).unwrap();
+    let service = Service::start_on(data.clone(), &[]);
+    assert_eq!(with(service.get("/v1/jobs"), &key).send().await.unwrap().status(), 200);
+}
+
 #[tokio::test]
 async fn without_a_valid_key_nothing_is_told_and_nothing_is_taken() {
     let data = Arc::new(tempfile::tempdir().unwrap());

@@ -30,6 +30,17 @@ pub enum KeyError {
     Damaged { path: String, detail: String },
     #[error("the key file {path} is gone; put a copy back, or make new keys")]
     Missing { path: String },
+    #[error(
+        "the key file {path} is not there, although it was named: make a key with 'rosaline keys add NAME --scope \
+         submit,read --keys {path}', or name none"
+    )]
+    Named { path: String },
+    #[error(
+        "there are jobs that belong to somebody, and without the key file {path} everybody could see them: put a copy of \
+         it back, make a key with 'rosaline keys add NAME --scope submit,read', accept tokens with --jwt-issuer, or let \
+         everybody in with --insecure"
+    )]
+    Lost { path: String },
     #[error("a name has 1 to {NAME_CHARS} letters, digits, '.', '_' and '-'")]
     Name,
     #[error(

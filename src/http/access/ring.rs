@@ -3,7 +3,7 @@
 //! While the file cannot be read, nobody is let in by a key, as one of those known before may have been revoked; and
 //! nobody is told that their key is wrong, which is not known.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
 
 use super::broken::Broken;
@@ -45,6 +45,15 @@ impl KeyRing {
         let closed = found.is_some();
         let state = State { stamp, closed, keys: found.unwrap_or_default(), broken: None };
         Ok(Self { path, state: RwLock::new(state) })
+    }
+
+    /// The same of a file that must be there, as the operator named it.
+    ///
+    /// # Errors
+    /// Also when it is not there.
+    pub fn open_named(path: &Path) -> Result<Self, KeyError> {
+        let ring = Self::open(path)?;
+        if ring.is_closed() { Ok(ring) } else { Err(KeyError::Named { path: path.display().to_string() }) }
     }
 
     /// Whether a key is needed.
