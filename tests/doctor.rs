@@ -123,6 +123,8 @@ async fn a_folder_that_cannot_be_used_is_told() {
     wrong(&mut doctor(disk.path()), "cannot be written");
     disk.free();
     assert!(asked(doctor(disk.path()).args(["--max-upload", "1MiB", "--min-free", "1MiB"])).0);
+    // Of the 8 MiB, what is left beside the room for a full disk is no matter of readiness.
+    assert!(asked(doctor(disk.path()).args(["--max-upload", "1MiB", "--min-free", "6MiB"])).0);
     wrong(doctor(disk.path()).args(["--max-upload", "1MiB"]), "--min-free is 64");
     wrong(
         doctor(disk.path()).args(["--min-free", "1MiB"]),

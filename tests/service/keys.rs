@@ -78,9 +78,8 @@ async fn others_are_let_in_with_a_key_or_when_the_operator_says_so() {
 async fn a_service_whose_key_file_is_away_does_not_start_open() {
     let data = Arc::new(tempfile::tempdir().unwrap());
     let refused = |arguments: &[&str], words: &[&str]| {
-        let output = command(data.path()).args(arguments).output().unwrap();
-        let text = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(1), "{text}");
+        let started = Service::try_start(command(data.path()).args(arguments), data.clone());
+        let text = started.err().unwrap_or_else(|| panic!("it started with {arguments:?}"));
         let line = text.lines().last().unwrap();
         assert!(words.iter().all(|word| line.contains(word)), "{line}");
     };

@@ -30,6 +30,7 @@ mod events;
 #[cfg(debug_assertions)]
 mod faults;
 mod isolation;
+mod issuer_file;
 mod keys;
 mod listing;
 mod load;

@@ -14,7 +14,7 @@ use crate::issuer::{AUDIENCE, ISSUER, KeyFile, Keys, Signer, arguments, at, but,
 use crate::meshes;
 use crate::service::{PATIENCE, Service, command, problem, without_settings};
 
-async fn list(service: &Service, token: &str) -> reqwest::Response {
+pub async fn list(service: &Service, token: &str) -> reqwest::Response {
     service.get("/v1/jobs").bearer_auth(token).send().await.unwrap()
 }
 
@@ -219,37 +219,8 @@ async fn keys_of_a_file_are_exchanged_while_the_service_runs() {
     assert_eq!(both().await, (401, 200));
 }
 
-/// As when a right to read the file is taken away and given back: what tells one state of it from the next stays the same.
-#[tokio::test]
-async fn a_file_that_could_not_be_read_once_is_tried_again() {
-    let signer = Signer::new("one", Algorithm::ES256);
-    let good = set(&[&signer]);
-    let file = KeyFile::new(&good);
-    let service = file.start(&["--workers", "1"]);
-    let token = signer.sign(&claims("anna", "submit read"));
-    assert_eq!(list(&service, &token).await.status(), 200);
-    // Another file than the one that was read, then this one again with other bytes.
-    file.put(&"x".repeat(good.len()));
-    let stamp = std::fs::metadata(file.path()).unwrap().modified().unwrap();
-    for _ in 0..3 {
-        let response = list(&service, &token).await;
-        assert!(response.headers().contains_key("retry-after"));
-        problem(response, 503, "keys-unavailable").await;
-        let body = problem(service.get("/readyz").send().await.unwrap(), 503, "not-ready").await;
-        assert!(body["detail"].as_str().unwrap().contains("the file of the issuer's keys"), "{body}");
-    }
-    assert_eq!(service.log().matches("no token is let in").count(), 1, "{}", service.log());
-    assert_eq!(service.log().matches("not ready").count(), 1, "{}", service.log());
-    // What is no token of the issuer's is wrong all the same.
-    problem(list(&service, "a.b.c").await, 401, "unauthenticated").await;
-    std::fs::write(file.path(), &good).unwrap();
-    std::fs::File::options().write(true).open(file.path()).unwrap().set_modified(stamp).unwrap();
-    until(&service, &token, 200).await;
-    service.assert_alive().await;
-}
-
 /// Asks until this token is answered so.
-async fn until(service: &Service, token: &str, status: u16) {
+pub async fn until(service: &Service, token: &str, status: u16) {
     let begin = Instant::now();
     while list(service, token).await.status() != status {
         assert!(begin.elapsed() < PATIENCE, "{}", service.log());
