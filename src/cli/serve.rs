@@ -137,10 +137,19 @@ async fn gate(args: &Args) -> Result<Gate, Failure> {
         _ => None,
     };
     let gate = Gate::new(keys, issuer);
-    if !gate.is_closed() && !args.insecure && checkup::has_owners(&args.data).await? {
+    if !gate.is_closed() && !args.insecure && has_owners(args).await? {
         return Err(KeyError::Lost { path: args.data.join("keys.json").display().to_string() }.into());
     }
     Ok(gate)
+}
+
+async fn has_owners(args: &Args) -> Result<bool, Failure> {
+    checkup::has_owners(&args.data).await.map_err(|error| {
+        let data = args.data.display();
+        Failure::new(format!(
+            "the job database in {data} cannot be read: {error}; 'rosaline doctor' says what to do"
+        ))
+    })
 }
 
 fn is_local(address: SocketAddr) -> bool {
