@@ -48,9 +48,15 @@ pub fn extract_component(
     control.report(Stage::CutPlanes, 0.0)?;
     let look = || {
         let work = network.tracks.par_iter_mut().zip(chains);
-        work.for_each(|(track, chain)| track.rings = rings(surface, &graph, chain));
+        let one = |(track, chain): (&mut Track, &Chain)| {
+            control.cancel.check()?;
+            track.rings = rings(surface, &graph, chain);
+            Ok::<(), ExtractError>(())
+        };
+        work.try_for_each(one)
     };
-    let (owners, ()) = rayon::join(|| owners(surface, &graph, chains), look);
+    let (owners, looked) = rayon::join(|| owners(surface, &graph, chains), look);
+    looked?;
     let trusted = cut_planes(grid, &graph, (chains, raised), &owners, &mut network, control)?;
     if network.tracks.iter().all(|track| track.stations.iter().all(|s| s.sight != Sight::Clean)) {
         let detail = "no plane cuts it in a closed section that is one vessel's own".to_owned();

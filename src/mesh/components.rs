@@ -56,13 +56,20 @@ pub(super) struct Order {
 }
 
 impl Order {
-    /// O(triangles).
-    pub(super) fn of(soup: &TriangleMesh, opposite: &[u32]) -> Self {
+    /// O(triangles). `go_on` is asked before each component.
+    pub(super) fn of<E>(
+        soup: &TriangleMesh,
+        opposite: &[u32],
+        go_on: impl Fn() -> Result<(), E>,
+    ) -> Result<Self, E> {
         let (component, members) = component_triangles(opposite, soup.triangles.len());
         let mut vertex_name = vec![NONE; soup.vertices.len()];
-        let walk = |triangles: &Vec<u32>| walk(soup, opposite, triangles, &mut vertex_name);
-        let vertices = members.iter().map(walk).collect();
-        Self { component, members, vertices, vertex_name }
+        let mut vertices = Vec::with_capacity(members.len());
+        for triangles in &members {
+            go_on()?;
+            vertices.push(walk(soup, opposite, triangles, &mut vertex_name));
+        }
+        Ok(Self { component, members, vertices, vertex_name })
     }
 }
 

@@ -118,9 +118,9 @@ pub fn prepare(mesh: &TriangleMesh) -> Result<Prepared, PreparationError> {
 ///
 /// # Errors
 /// Those of [`prepare`], and that of `go_on`.
-pub fn prepare_while<E: From<PreparationError>>(
+pub fn prepare_while<E: From<PreparationError> + Send>(
     mesh: &TriangleMesh,
-    go_on: impl Fn() -> Result<(), E>,
+    go_on: impl Fn() -> Result<(), E> + Sync,
 ) -> Result<Prepared, E> {
     if mesh.triangles.is_empty() {
         return Err(PreparationError::NoTriangles.into());
@@ -132,16 +132,7 @@ pub fn prepare_while<E: From<PreparationError>>(
         triangles: mesh.triangles.len(),
         ..Default::default()
     };
-    let snapped = snap(mesh);
-    let given = snapped.as_ref().map_or(&mesh.triangles, |(triangles, _)| triangles);
-    report.snapped_vertices = snapped.as_ref().map_or_else(Sites::default, |(_, moved)| *moved);
-    let kept = distinct(given, &mut report);
-    let triangles = kept.iter().map(|&t| given[t as usize]).collect();
-    let mut soup = TriangleMesh { vertices: mesh.vertices.clone(), triangles };
-    report.diagonal = diagonal(&soup);
-    if soup.triangles.iter().all(|t| area(&soup, t) <= 1e-14 * report.diagonal * report.diagonal) {
-        return Err(PreparationError::AllDegenerate { triangles: mesh.triangles.len() }.into());
-    }
+    let (mut soup, kept) = without_repeats(mesh, &mut report)?;
     go_on()?;
     let (mut opposite, matching) = match_half_edges(&mut soup);
     report.matching = MatchReport {
@@ -153,21 +144,51 @@ pub fn prepare_while<E: From<PreparationError>>(
     let names;
     (report.split_vertices, names) = split_fans(&mut soup, &opposite);
     go_on()?;
-    // Of a mesh that needs no cap the vertices are put in order while flat caps are looked for.
-    let is_closed = !opposite.contains(&NONE);
-    let look = || flat_caps::find(&soup, &opposite);
-    let (caps, order) = rayon::join(look, || is_closed.then(|| Order::of(&soup, &opposite)));
-    let order = order.filter(|_| caps.triangles.is_empty());
-    go_on()?;
-    let closed = caps.take_out(&mut soup, &mut opposite);
-    let (openings, holes) = cap(&mut soup, &mut opposite, &closed);
+    let (openings, holes, order) = close(&mut soup, &mut opposite, &go_on)?;
     report.holes = holes.renamed(&names);
-    let order = order.unwrap_or_else(|| Order::of(&soup, &opposite));
     go_on()?;
     let parts = split_components(&soup, &opposite, openings, order, &go_on)?;
     go_on()?;
     let components = leave_cavities_out(parts, &names, &mut report);
     Ok(Prepared { components, report })
+}
+
+/// The triangles that count, near vertices of a mesh in pieces made one; and which triangles of the mesh they are.
+fn without_repeats(
+    mesh: &TriangleMesh,
+    report: &mut PreparationReport,
+) -> Result<(TriangleMesh, Vec<u32>), PreparationError> {
+    let snapped = snap(mesh);
+    let given = snapped.as_ref().map_or(&mesh.triangles, |(triangles, _)| triangles);
+    report.snapped_vertices = snapped.as_ref().map_or_else(Sites::default, |(_, moved)| *moved);
+    let kept = distinct(given, report);
+    let triangles = kept.iter().map(|&t| given[t as usize]).collect();
+    let soup = TriangleMesh { vertices: mesh.vertices.clone(), triangles };
+    report.diagonal = diagonal(&soup);
+    if soup.triangles.iter().all(|t| area(&soup, t) <= 1e-14 * report.diagonal * report.diagonal) {
+        return Err(PreparationError::AllDegenerate { triangles: mesh.triangles.len() });
+    }
+    Ok((soup, kept))
+}
+
+/// Opens flat caps, caps all openings, and puts the vertices in order: the openings, the holes of the wall, the order.
+fn close<E: Send>(
+    soup: &mut TriangleMesh,
+    opposite: &mut Vec<u32>,
+    go_on: &(impl Fn() -> Result<(), E> + Sync),
+) -> Result<(Vec<Opening>, Sites, Order), E> {
+    // Of a mesh that needs no cap the vertices are put in order while flat caps are looked for.
+    let is_closed = !opposite.contains(&NONE);
+    let (seen, against) = (&*soup, &**opposite);
+    let order = || is_closed.then(|| Order::of(seen, against, go_on)).transpose();
+    let (caps, order) = rayon::join(|| flat_caps::find(seen, against), order);
+    let order = order?.filter(|_| caps.triangles.is_empty());
+    go_on()?;
+    let rims = caps.take_out(soup, opposite);
+    let (openings, holes) = cap(soup, opposite, &rims);
+    go_on()?;
+    let order = order.map_or_else(|| Order::of(soup, opposite, go_on), Ok)?;
+    Ok((openings, holes, order))
 }
 
 /// Coordinates are finite and indices in range: a reader sees to that, another caller may not.

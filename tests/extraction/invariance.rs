@@ -142,15 +142,19 @@ fn the_preset_paper_does_not_mind_either() {
 
 #[test]
 fn any_number_of_threads_and_any_run_gives_the_same_bits() {
-    let mesh = phantom(Kind::Loop, 3, Settings::of(Kind::Loop));
-    for preset in [Preset::Default, Preset::Paper] {
+    // A ring, and a tree whose joints go side by side.
+    for (kind, preset) in
+        [(Kind::Loop, Preset::Default), (Kind::Loop, Preset::Paper), (Kind::Bigtree, Preset::Default)]
+    {
+        let voxel = if kind == Kind::Bigtree { 1.5 * kind.voxel() } else { kind.voxel() };
+        let mesh = phantom(kind, 3, Settings { voxel, ..Settings::of(kind) });
         let with = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| extracted(&mesh, preset).unwrap())
         };
         let first = with(1);
         for threads in [1, 2, 4] {
-            assert_eq!(first, with(threads), "{preset} on {threads} threads");
+            assert_eq!(first, with(threads), "{kind}, {preset} on {threads} threads");
         }
     }
 }

@@ -48,6 +48,25 @@ fn three_lobes_of_an_ellipse_are_heard_on_top_of_it() {
 }
 
 #[test]
+fn what_noise_and_few_vertices_show_are_no_lobes() {
+    // A number that looks random, of each vertex its own.
+    let random = |share: f64, angle: f64| ((1e4 * share + 7.3 * angle).sin() * 43758.5453).fract();
+    let rough = |share: f64, angle: f64| {
+        let wall = 5.0 * (1.0 + 0.06 * random(share, angle));
+        [wall * angle.cos(), wall * angle.sin()]
+    };
+    let few = |_, angle: f64| [5.0 * f64::cos(angle), 5.0 * f64::sin(angle)];
+    for mesh in [
+        sweep(straight(LENGTH), rough, [76, 48], Ends::Open),
+        sweep(straight(LENGTH), few, [16, 7], Ends::Open),
+    ] {
+        for (point, found) in points(&line_of(&mesh).centerline) {
+            assert!((found / 5.0 - 1.0).abs() < 0.015, "{found} at {point}");
+        }
+    }
+}
+
+#[test]
 fn a_vessel_four_times_as_wide_as_high_misses_no_branch() {
     let wall = |angle: f64| 1.0 / (angle.cos() / 8.0).hypot(angle.sin() / 2.0);
     check(&tube(wall), 2.0, 0.02);

@@ -340,6 +340,8 @@ pub fn signed_angle(a: &Vector2<f64>, b: &Vector2<f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::centerline::shapes::open_tube;
+    use crate::mesh::preparation::prepare;
 
     #[test]
     fn a_turn_is_that_of_the_arc_tangent() {
@@ -354,8 +356,6 @@ mod tests {
             assert!((0.0..=1.0).contains(&found), "{found}");
         }
     }
-    use crate::centerline::shapes::open_tube;
-    use crate::mesh::preparation::prepare;
 
     #[test]
     fn a_tube_cut_aslant_is_an_ellipse() {

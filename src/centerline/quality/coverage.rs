@@ -1,12 +1,12 @@
 //! Whether the line reaches every part of its surface: what it misses shows as wall without a line.
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
 use crate::mesh::preparation::{Opening, Surface};
 
 use crate::centerline::component::ComponentGraph;
-use crate::centerline::graph::Warning;
+use crate::centerline::graph::{Branch, NodeKind, Warning};
 use crate::centerline::line_tree::{LineTree, Segment};
 
 /// Farthest that covered wall lies, in radii of the line there.
@@ -65,14 +65,18 @@ pub struct Covered {
 /// The area near the line, and far from it: of each triangle that is looked at, by its middle.
 /// O(those x log segments).
 pub fn measure(surface: &Surface, line: &LineTree, graph: &ComponentGraph) -> Covered {
-    let here: Vec<f64> = line.segments().iter().map(|segment| flatness(graph, segment)).collect();
+    let of_segment = |segment: &Segment| {
+        let branch = &graph.branches[segment.branch];
+        flatness(branch, segment.place).max(flatness(branch, segment.place + 1))
+    };
+    let here: Vec<f64> = line.segments().iter().map(of_segment).collect();
     let usual = usual(line, &here, graph.branches.len());
     let all = line.segments().iter().zip(here);
     let flatness: Vec<Flatness> =
         all.map(|(segment, here)| Flatness { here, usual: usual[segment.branch] }).collect();
     let most = |of: fn(&Flatness) -> f64| flatness.iter().map(of).fold(1.0, f64::max);
     let widest = Flatness { here: most(|one| one.here), usual: most(|one| one.usual) };
-    let line = &Reach { line, flatness, widest, cuts: cuts(surface, line) };
+    let line = &Reach { line, flatness, widest, cuts: cuts(surface, graph) };
     let step = surface.mesh.triangles.len().div_ceil(SAMPLES).max(1);
     let chunks = surface.mesh.triangles.par_chunks(CHUNK * step);
     let parts: Vec<Covered> =
@@ -82,18 +86,46 @@ pub fn measure(surface: &Surface, line: &LineTree, graph: &ComponentGraph) -> Co
     sum
 }
 
-/// The openings that the line reaches: of each its centre, and how far from there its rim may lie. Around a cut aslant
-/// the wall goes on past the line's end.
-fn cuts(surface: &Surface, line: &LineTree) -> Vec<(Point3<f64>, f64)> {
+/// A cut that the line ends in: where it is aslant, the wall of the vessel goes on past that end.
+struct Cut {
+    end: Point3<f64>,
+    /// The line's direction there, unit.
+    outward: Vector3<f64>,
+    /// How far aside of the line's continuation the vessel's own wall may lie.
+    aside: f64,
+    /// How far from the end its rim may lie.
+    reach: f64,
+}
+
+impl Cut {
+    /// Whether a place is wall of the vessel past the line's end.
+    fn is_beyond(&self, place: &Point3<f64>) -> bool {
+        let away = place - self.end;
+        let along = away.dot(&self.outward);
+        (0.0..self.reach).contains(&along) && (away - self.outward * along).norm() < self.aside
+    }
+}
+
+/// The cuts that the line ends in. O(ends x openings).
+fn cuts(surface: &Surface, graph: &ComponentGraph) -> Vec<Cut> {
     /// Triangles at the rim have their middles beside it.
     const BESIDE: f64 = 1.05;
-    let cut = |opening: &Opening| {
-        let at = |v: u32| surface.mesh.vertices[v as usize];
-        let centre = at(opening.centre);
-        let farthest = opening.rim.iter().map(|&v| (at(v) - centre).norm()).fold(0.0, f64::max);
-        (line.least_share(&centre) < 1.0).then_some((centre, BESIDE * farthest))
+    let at = |v: u32| surface.mesh.vertices[v as usize];
+    let of_end = |(branch, at_start): (&Branch, bool)| {
+        let last = branch.points.len() - 1;
+        let (node, end, before) = if at_start { (branch.from, 0, 1) } else { (branch.to, last, last - 1) };
+        if graph.nodes[node].kind != NodeKind::End {
+            return None;
+        }
+        let (point, radius) = (branch.points[end], branch.radii[end]);
+        let outward = (point - branch.points[before]).try_normalize(0.0)?;
+        let is_here = |opening: &&Opening| (at(opening.centre) - point).norm() < radius;
+        let rim = &surface.openings.iter().find(is_here)?.rim;
+        let farthest = rim.iter().map(|&v| (at(v) - point).norm()).fold(0.0, f64::max);
+        let aside = NEAR * radius * flatness(branch, end);
+        Some(Cut { end: point, outward, aside, reach: BESIDE * farthest })
     };
-    surface.openings.iter().filter_map(cut).collect()
+    graph.branches.iter().flat_map(|branch| [(branch, true), (branch, false)]).filter_map(of_end).collect()
 }
 
 /// Of each branch the median over its segments.
@@ -109,13 +141,11 @@ fn usual(line: &LineTree, here: &[f64], branches: usize) -> Vec<f64> {
     of_branch.into_iter().map(median).collect()
 }
 
-/// Long over short half axis of the ellipse that has the line's two radii at a segment.
-fn flatness(graph: &ComponentGraph, segment: &Segment) -> f64 {
+/// Long over short half axis of the ellipse that has a branch's two radii at a point.
+fn flatness(branch: &Branch, at: usize) -> f64 {
     /// Beyond this a section has taken in more than its vessel.
     const FLATTEST: f64 = 4.0;
-    let branch = &graph.branches[segment.branch];
-    let one = |at: usize| (branch.equivalent_radii[at] / branch.radii[at]).powi(2);
-    let flatness = one(segment.place).max(one(segment.place + 1));
+    let flatness = (branch.equivalent_radii[at] / branch.radii[at]).powi(2);
     // At the far wall of a sac the radius may be nothing.
     if flatness.is_finite() { flatness.clamp(1.0, FLATTEST) } else { 1.0 }
 }
@@ -126,8 +156,7 @@ struct Reach<'a> {
     /// Of each segment.
     flatness: Vec<Flatness>,
     widest: Flatness,
-    /// Centre and reach of the openings that the line ends in.
-    cuts: Vec<(Point3<f64>, f64)>,
+    cuts: Vec<Cut>,
 }
 
 impl Reach<'_> {
@@ -155,8 +184,6 @@ fn of_triangles<'a>(
     const NOTED: usize = 64;
     let mut sum = Covered::default();
     let mut last = None;
-    let at_cut =
-        |place: &Point3<f64>| line.cuts.iter().any(|(centre, reach)| (place - centre).norm() < *reach);
     for corners in triangles {
         let [a, b, c] = corners.map(|v| surface.mesh.vertices[v as usize]);
         let area = 0.5 * (b - a).cross(&(c - a)).norm();
@@ -166,7 +193,7 @@ fn of_triangles<'a>(
             sum.near += area;
             continue;
         }
-        if at_cut(&middle) {
+        if line.cuts.iter().any(|cut| cut.is_beyond(&middle)) {
             continue;
         }
         let far = FAR.map(|(radii, kind, _)| !line.covers(&middle, radii, kind, &mut last));

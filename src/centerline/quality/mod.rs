@@ -214,6 +214,26 @@ mod tests {
     }
 
     #[test]
+    fn past_a_cut_aslant_only_the_vessels_own_wall_is_no_miss() {
+        // Cut at 70 degrees: its corner lies three radii from the line's end.
+        let mut mesh = open_tube(20.0, 101, 96);
+        mesh.vertices.iter_mut().for_each(|p| p.z += 2.75 * p.x * (p.z / 10.0 - 1.0));
+        let surface = closed_surface(&mesh);
+        let warnings = |graph: &ComponentGraph| measured(&surface, graph).1;
+        assert_eq!(warnings(&straight(0.0, 20.0, 0.0)), Vec::<&str>::new());
+        assert_eq!(warnings(&straight(2.0, 18.0, 0.0)), ["wall-without-line"]);
+        // A joint there ends no vessel.
+        let mut joint = straight(0.0, 20.0, 0.0);
+        joint.nodes.iter_mut().for_each(|node| node.kind = NodeKind::Junction);
+        assert_eq!(warnings(&joint), ["wall-without-line"]);
+        // A line of half the radius is another vessel's.
+        let mut thin = straight(0.0, 20.0, 0.0);
+        thin.branches[0].radii.fill(0.5);
+        thin.branches[0].equivalent_radii.fill(0.5);
+        assert_eq!(warnings(&thin), ["wall-without-line"]);
+    }
+
+    #[test]
     fn a_line_that_passes_a_place_twice_is_not_thin() {
         let tube = tube();
         let thin = |graph: &ComponentGraph| measured(&tube, graph).0.thinness;

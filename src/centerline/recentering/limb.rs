@@ -194,4 +194,25 @@ mod tests {
             assert!((0..=12).all(|near| (of(near) - least).abs() < 1e-12), "{point}");
         }
     }
+
+    #[test]
+    fn downhill_from_where_it_was_leads_to_where_it_is() {
+        let at = |x: f64, y: f64| Point3::new(x, y, 0.1 * x * y);
+        let limb = |bent: f64| {
+            let control = [at(0.0, 0.0), at(2.0, 0.0), at(3.0, 2.0 + bent), at(2.0, 4.0 + bent)];
+            Limb { control, radii: [1.0, 0.6] }.wall()
+        };
+        let (before, after) = (limb(0.0), limb(0.2));
+        for i in 0..300 {
+            let share = f64::from(i) / 300.0;
+            let turn = std::f64::consts::TAU * (f64::from(i) * 0.618).fract();
+            // Vertices lie about the wall.
+            let axis =
+                Limb { control: [at(0.0, 0.0), at(2.0, 0.0), at(3.0, 2.0), at(2.0, 4.0)], radii: [1.0, 0.6] };
+            let point = axis.at(share) + Vector3::new(turn.cos(), 0.3, turn.sin()) * 0.8;
+            let (known, found) =
+                (after.foot(&point, 0.5), after.foot_near(&point, before.foot(&point, 0.5).t));
+            assert!((known.outside - found.outside).abs() < 1e-12, "{point}");
+        }
+    }
 }

@@ -57,16 +57,17 @@ pub fn meet_in_joints(
 }
 
 /// The joints in batches: none sees branches that another of its batch moves, and as in the order of their numbers all
-/// that come before it have moved theirs. O(branches).
+/// that come before it have moved theirs. O(branches x those that meet at a joint).
 fn batches(network: &Network) -> Vec<Vec<usize>> {
     let mut around = vec![Vec::new(); network.nodes.len()];
     for track in &network.tracks {
         around[track.from].push(track.to);
         around[track.to].push(track.from);
     }
+    let is_ring = |node: usize| around[node] == [node, node];
     let mut batches: Vec<Vec<usize>> = Vec::new();
     let mut batch_after = vec![0; around.len()];
-    for node in (0..around.len()).filter(|&node| around[node].len() > 1 && !network.is_ring(node)) {
+    for node in (0..around.len()).filter(|&node| around[node].len() > 1 && !is_ring(node)) {
         // A joint sees its branches, and beyond their other ends those that they continue.
         let near = around[node].iter().flat_map(|&other| around[other].iter().copied().chain([other]));
         let batch = near.map(|other| batch_after[other]).max().unwrap_or(0);
@@ -77,7 +78,7 @@ fn batches(network: &Network) -> Vec<Vec<usize>> {
     batches
 }
 
-/// Finds the centres of some joints that are no neighbours, and leads their branches in.
+/// Finds the centres of the joints of one batch, and leads their branches in.
 fn meet(
     grid: &TriangleGrid<'_>,
     owners: &[u32],
@@ -88,14 +89,14 @@ fn meet(
     let seen = &*network;
     let one = |&node: &usize| {
         control.cancel.check()?;
-        Ok((node, Meeting::of(grid.surface(), seen, node)))
+        Ok(Meeting::of(grid.surface(), seen, node))
     };
-    let meetings: FxHashMap<usize, Meeting> =
-        joints.par_iter().map(one).collect::<Result<_, ExtractError>>()?;
-    for (node, meeting) in &meetings {
-        network.nodes[*node].anchor = Some(meeting.centre);
-        aim_bulges(grid, network, &network.incident(*node), &meeting.centre.point);
+    let found: Vec<Meeting> = joints.par_iter().map(one).collect::<Result<_, ExtractError>>()?;
+    for (&node, meeting) in joints.iter().zip(&found) {
+        network.nodes[node].anchor = Some(meeting.centre);
+        aim_bulges(grid, network, &network.incident(node), &meeting.centre.point);
     }
+    let meetings = joints.iter().copied().zip(&found).collect();
     lead_in(grid.surface(), owners, network, &meetings, control)
 }
 
@@ -140,7 +141,7 @@ fn lead_in(
     surface: &Surface,
     owners: &[u32],
     network: &mut Network,
-    meetings: &FxHashMap<usize, Meeting>,
+    meetings: &FxHashMap<usize, &Meeting>,
     control: &Control<'_>,
 ) -> Result<(), ExtractError> {
     network.tracks.par_iter_mut().filter(|track| track.is_line()).try_for_each(|track| {
@@ -166,4 +167,64 @@ fn settle(surface: &Surface, network: &mut Network) {
         smooth(track);
         settle_radii(&mut track.stations);
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::centerline::connection::network::NetworkNode;
+    use crate::centerline::laplacian_smoothing::continuation::Process;
+
+    /// A network of branches between numbered nodes.
+    fn network(branches: &[(usize, usize)]) -> Network {
+        let count = branches.iter().map(|&(from, to)| from.max(to) + 1).max().unwrap_or(0);
+        let track = |&(from, to): &(usize, usize)| Track {
+            chain: 0,
+            from,
+            to,
+            rings: Vec::new(),
+            stations: Vec::new(),
+            bulge: None,
+            stiffness: 0.0,
+            process: Process::default(),
+        };
+        Network {
+            nodes: vec![NetworkNode { vertex: 0, anchor: None }; count],
+            tracks: branches.iter().map(track).collect(),
+        }
+    }
+
+    #[test]
+    fn joints_of_a_batch_are_no_neighbours_and_those_before_have_gone() {
+        // A trunk of joints 0 to 6, each with an end of its own.
+        let mut branches: Vec<(usize, usize)> = (0..6).map(|joint| (joint, joint + 1)).collect();
+        branches.extend((0..7).map(|joint| (joint, 7 + joint)));
+        branches.push((0, 14));
+        branches.push((6, 15));
+        assert_eq!(batches(&network(&branches)), (0..7).map(|joint| vec![joint]).collect::<Vec<_>>());
+        // Two forks at either end of a long way of joints that were numbered last.
+        let far = [
+            (0, 2),
+            (1, 3),
+            (2, 4),
+            (4, 5),
+            (5, 3),
+            (0, 6),
+            (0, 7),
+            (1, 8),
+            (1, 9),
+            (2, 10),
+            (3, 11),
+            (4, 12),
+            (5, 13),
+        ];
+        assert_eq!(batches(&network(&far)), [vec![0, 1], vec![2, 3], vec![4], vec![5]]);
+    }
+
+    #[test]
+    fn ends_and_rings_are_no_joints() {
+        assert!(batches(&network(&[(0, 1)])).is_empty());
+        assert!(batches(&network(&[(0, 0)])).is_empty());
+        assert_eq!(batches(&network(&[(0, 0), (0, 1)])), [[0]]);
+    }
 }

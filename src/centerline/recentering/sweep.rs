@@ -23,7 +23,7 @@ use crate::centerline::recentering::ends::reach_ends;
 use crate::centerline::recentering::lobes::lobes;
 use crate::centerline::recentering::swept_fit::{Fitted, Search, fit_centre, fit_shape};
 use crate::centerline::recentering::swept_tube::SweptTube;
-use crate::centerline::recentering::swept_wall::{doubt_unusual, hear, wall_beside};
+use crate::centerline::recentering::swept_wall::{WallVertex, doubt_unusual, hear, wall_beside};
 use crate::centerline::segmentation::track::{Sight, Station, Track, update_tangents};
 use crate::centerline::triangle_grid::TriangleGrid;
 use crate::centerline::{Control, ExtractError};
@@ -127,12 +127,27 @@ fn sweep(surface: &Surface, stations: &mut [Station], beyond: [f64; 2]) -> Optio
     if wall.len() < VERTICES {
         return None;
     }
+    let (shape, centre) = fit_tube(&mut tube, &wall)?;
+    let near = |(i, s): (usize, &Station)| (s.point - tube.points[i]).norm() <= MOVED * tube.shapes[i].x;
+    // Told so that what is no number is refused as well.
+    if !(tube.flatness() <= FLAT && stations.iter().enumerate().all(near)) {
+        return None;
+    }
+    let trust = trust(stations, &tube, &centre);
+    let lobes = lobes(&tube, &hear(&tube, &wall), shape.rung);
+    for (i, station) in stations.iter_mut().enumerate() {
+        place(station, &tube, i, trust, (shape.haze, lobes[i]));
+    }
+    Some(())
+}
+
+/// Fits shape and centre of a tube to its wall in turns, a few rounds; `None` where it becomes none.
+fn fit_tube(tube: &mut SweptTube, wall: &[WallVertex]) -> Option<(Fitted, Fitted)> {
     let mut fitted: Option<(Fitted, Fitted)> = None;
-    let mut heard = Vec::new();
     for round in 0..ROUNDS {
-        heard = hear(&tube, &wall);
+        let mut heard = hear(tube, wall);
         if round >= CHOOSING {
-            doubt_unusual(&tube, &mut heard);
+            doubt_unusual(tube, &mut heard);
         }
         let search = |before: Option<&Fitted>| match before {
             None => Search::Whole,
@@ -140,10 +155,10 @@ fn sweep(surface: &Surface, stations: &mut [Station], beyond: [f64; 2]) -> Optio
             Some(before) => Search::Keep(before.rung),
         };
         let before = fitted.as_ref();
-        let shape =
-            fit_shape(&tube, &heard, search(before.map(|(s, _)| s)), before.is_some_and(|(s, _)| s.flat))?;
+        let was_flat = before.is_some_and(|(shape, _)| shape.flat);
+        let shape = fit_shape(tube, &heard, search(before.map(|(shape, _)| shape)), was_flat)?;
         tube.shapes = shape.curve.iter().map(|p| p.coords).collect();
-        let centre = fit_centre(&tube, &heard, search(before.map(|(_, centre)| centre)))?;
+        let centre = fit_centre(tube, &heard, search(before.map(|(_, centre)| centre)))?;
         tube.points.clone_from(&centre.curve);
         tube.settle();
         if !tube.is_sound() {
@@ -151,18 +166,7 @@ fn sweep(surface: &Surface, stations: &mut [Station], beyond: [f64; 2]) -> Optio
         }
         fitted = Some((shape, centre));
     }
-    let (shape, centre) = fitted?;
-    let near = |(i, s): (usize, &Station)| (s.point - tube.points[i]).norm() <= MOVED * tube.shapes[i].x;
-    // Told so that what is no number is refused as well.
-    if !(tube.flatness() <= FLAT && stations.iter().enumerate().all(near)) {
-        return None;
-    }
-    let trust = trust(stations, &tube, &centre);
-    let lobes = lobes(&tube, &heard, shape.rung);
-    for (i, station) in stations.iter_mut().enumerate() {
-        place(station, &tube, i, trust, (shape.haze, lobes[i]));
-    }
-    Some(())
+    fitted
 }
 
 /// Puts a station where the tube has it.
