@@ -85,7 +85,7 @@ async fn a_good_folder_is_well_and_is_left_as_it_was() {
     let before = (names(), fs::read(data.path().join("jobs.sqlite")).unwrap());
     let (well, said) = asked(&mut doctor(data.path()));
     assert!(well && !said.contains("WRONG"), "{said}");
-    assert!(said.contains("whole: 1 jobs"), "{said}");
+    assert!(said.contains("whole: 1 job\n"), "{said}");
     assert_eq!((names(), fs::read(data.path().join("jobs.sqlite")).unwrap()), before);
     let (well, said) = asked(&mut doctor(&data.path().join("new")));
     assert!(well && said.contains("the first start creates it"), "{said}");

@@ -4,7 +4,7 @@
 //! by the flag's own rules, and what belongs together is wanted together wherever each part stands.
 
 use std::ffi::{OsStr, OsString};
-use std::fs;
+use std::io;
 use std::ops::Range;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
@@ -13,6 +13,8 @@ use clap::error::{ContextKind, ContextValue};
 use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use toml::de::{DeTable, DeValue};
+
+use crate::jobs::operator_file;
 
 /// The subcommands that take a file, the flag that names it, and its variable.
 const SUBCOMMANDS: [&str; 3] = [SERVE, "doctor", "health"];
@@ -73,8 +75,11 @@ impl Config {
 
     fn read(path: &Path, command: &Command, subcommand: &Command) -> Result<Self, ConfigError> {
         let shown = path.display().to_string();
-        let text =
-            fs::read_to_string(path).map_err(|source| ConfigError::Io { path: shown.clone(), source })?;
+        let read = operator_file::read(path).and_then(|bytes| {
+            String::from_utf8(bytes)
+                .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.utf8_error()))
+        });
+        let text = read.map_err(|source| ConfigError::Io { path: shown.clone(), source })?;
         let line =
             |place: Range<usize>| 1 + text.bytes().take(place.start).filter(|&byte| byte == b'\n').count();
         let table = DeTable::parse(&text).map_err(|error| ConfigError::Syntax {

@@ -14,6 +14,7 @@ use super::faults::{Operation, between};
 /// When the lock beside the file cannot be made.
 pub fn lock(path: &Path) -> io::Result<File> {
     let lock = private().truncate(false).open(path.with_extension("lock"))?;
+    keep_owner(&lock, path)?;
     lock.lock()?;
     Ok(lock)
 }
@@ -25,11 +26,50 @@ pub fn lock(path: &Path) -> io::Result<File> {
 pub fn replace(path: &Path, text: &[u8]) -> io::Result<()> {
     let temporary = path.with_extension("new");
     let mut file = private().truncate(true).open(&temporary)?;
+    keep_owner(&file, path)?;
     between(Operation::OperatorFileWrite, || file.write_all(text))?;
     between(Operation::OperatorFileSync, || file.sync_all())?;
     between(Operation::OperatorFileRename, || fs::rename(&temporary, path))?;
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+    File::open(folder(path))?.sync_all()
+}
+
+/// Reads the file whole, where it is a regular one that is no larger than an operator writes: at a pipe a reader would
+/// wait for ever.
+///
+/// # Errors
+/// When it is another or larger, or cannot be read.
+pub fn read(path: &Path) -> io::Result<Vec<u8>> {
+    const MOST: u64 = 16 << 20;
+    let found = fs::metadata(path)?;
+    if !found.is_file() {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is no regular file"));
+    }
+    if found.len() > MOST {
+        let detail = format!("it has {} bytes, more than the {MOST} of the largest", found.len());
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, detail));
+    }
+    fs::read(path)
+}
+
+/// Gives a file that root makes to who owns the one in whose place it comes, else the folder: the service that is to read
+/// it runs as them.
+fn keep_owner(file: &File, path: &Path) -> io::Result<()> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::{MetadataExt, fchown};
+        let own = file.metadata()?;
+        let like = fs::metadata(path).or_else(|_| fs::metadata(folder(path)))?;
+        if own.uid() == 0 && (like.uid(), like.gid()) != (0, own.gid()) {
+            fchown(file, Some(like.uid()), Some(like.gid()))?;
+        }
+    }
+    #[cfg(not(unix))]
+    let _ = (file, path);
+    Ok(())
+}
+
+fn folder(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 fn private() -> OpenOptions {
@@ -51,4 +91,41 @@ pub fn stamp(path: &Path) -> Stamp {
     #[cfg(not(unix))]
     let file = 0;
     Some((found.modified().ok()?, found.len(), file))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_regular_file_of_some_size_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("keys.json");
+        assert_eq!(read(&path).unwrap_err().kind(), io::ErrorKind::NotFound);
+        assert_eq!(read(folder.path()).unwrap_err().kind(), io::ErrorKind::InvalidInput);
+        fs::write(&path, b"{}").unwrap();
+        assert_eq!(read(&path).unwrap(), b"{}");
+        File::options().write(true).open(&path).unwrap().set_len(17 << 20).unwrap();
+        assert_eq!(read(&path).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_root_changes_stays_the_services() {
+        use std::os::unix::fs::{MetadataExt, chown};
+        let folder = tempfile::tempdir().unwrap();
+        if chown(folder.path(), Some(65534), Some(65534)).is_err() {
+            eprintln!("skipped: only root may give a folder away");
+            return;
+        }
+        let path = folder.path().join("keys.json");
+        let owner = |path: &Path| (fs::metadata(path).unwrap().uid(), fs::metadata(path).unwrap().gid());
+        replace(&path, b"{}").unwrap();
+        assert_eq!(owner(&path), (65534, 65534));
+        drop(lock(&path).unwrap());
+        assert_eq!(owner(&path.with_extension("lock")), (65534, 65534));
+        chown(&path, Some(65533), Some(65532)).unwrap();
+        replace(&path, b"{}").unwrap();
+        assert_eq!(owner(&path), (65533, 65532));
+    }
 }

@@ -12,7 +12,7 @@ use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
 use super::broken::Broken;
-use crate::jobs::operator_file::{Stamp, stamp};
+use crate::jobs::operator_file::{self, Stamp, stamp};
 use crate::outbound::{Client, OutboundError, Url};
 
 /// Bytes of a key set.
@@ -239,7 +239,7 @@ impl Jwks {
 }
 
 fn read(path: &std::path::Path) -> Result<Vec<PublicKey>, JwksError> {
-    let text = std::fs::read(path);
+    let text = operator_file::read(path);
     parse(&text.map_err(|source| JwksError::Io { path: path.display().to_string(), source })?)
 }
 

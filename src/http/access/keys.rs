@@ -1,6 +1,5 @@
 //! The file of API keys: hashes only, changed by `rosaline keys`, read by the service.
 
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -191,7 +190,7 @@ fn in_force<'k>(keys: &'k mut [Key], name: &str) -> Result<&'k mut Key, KeyError
 
 /// The keys in the file; `None` where there is none.
 pub(super) fn read(path: &Path) -> Result<Option<Vec<Key>>, KeyError> {
-    let text = match fs::read(path) {
+    let text = match operator_file::read(path) {
         Ok(text) => text,
         Err(error) if is_absent(&error) => return Ok(None),
         Err(source) => return Err(KeyError::Io { path: path.display().to_string(), source }),
@@ -241,6 +240,8 @@ fn now() -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     #[test]

@@ -91,6 +91,10 @@ fn classified(key: &str, error: object_store::Error) -> BlobError {
 
 /// Reads a file through, a piece at a time.
 fn looked_at(path: &Path) -> io::Result<BlobInfo> {
+    // At a pipe, which is no result, it would wait for ever.
+    if !fs::metadata(path)?.is_file() {
+        return Err(io::Error::new(io::ErrorKind::InvalidData, "it is no regular file"));
+    }
     let (mut file, mut hash) = (fs::File::open(path)?, Sha256::new());
     let (mut piece, mut size) = (vec![0; SMALL], 0);
     loop {

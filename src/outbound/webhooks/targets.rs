@@ -1,7 +1,6 @@
 //! The file of webhook targets: made by the operator, by hand or with `rosaline webhooks`.
 
 use std::collections::HashSet;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -154,7 +153,7 @@ impl TargetFile {
 
     /// The targets; `None` where there is no file. Blocks.
     fn read(&self) -> Result<Option<Vec<Target>>, TargetError> {
-        let text = match fs::read(&self.path) {
+        let text = match operator_file::read(&self.path) {
             Ok(text) => text,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(source) => return Err(self.failed(source)),
@@ -251,6 +250,8 @@ fn check_name(name: &str) -> Result<(), TargetError> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     #[test]
