@@ -2,6 +2,7 @@
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
+use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 
@@ -9,6 +10,13 @@ use serde_json::Value;
 
 use crate::meshes;
 use crate::service::{Service, problem};
+
+/// A new key of `name`, which may submit and read.
+fn key_of(data: &Path, name: &str) -> String {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+    command.args(["keys", "add", name, "--scope", "submit,read", "--data"]).arg(data);
+    String::from_utf8(command.output().unwrap().stdout).unwrap().trim().to_owned()
+}
 
 #[tokio::test]
 async fn a_full_queue_takes_no_more_until_there_is_room() {
@@ -30,12 +38,7 @@ async fn a_full_queue_takes_no_more_until_there_is_room() {
 #[tokio::test]
 async fn a_principal_has_its_share() {
     let data = Arc::new(tempfile::tempdir().unwrap());
-    let key = |name: &str| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
-        command.args(["keys", "add", name, "--scope", "submit,read", "--data"]).arg(data.path());
-        String::from_utf8(command.output().unwrap().stdout).unwrap().trim().to_owned()
-    };
-    let (one, other) = (key("one"), key("other"));
+    let [one, other] = ["one", "other"].map(|name| key_of(data.path(), name));
     let service = Service::start_on(data.clone(), &["--workers", "1", "--max-jobs-each", "2"]);
     let post = |key: &str| {
         let request =
@@ -111,12 +114,7 @@ async fn one_sender_does_not_take_all_the_places_for_uploads() {
 #[tokio::test]
 async fn one_principal_does_not_take_all_the_places_for_uploads() {
     let data = Arc::new(tempfile::tempdir().unwrap());
-    let key = |name: &str| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
-        command.args(["keys", "add", name, "--scope", "submit,read", "--data"]).arg(data.path());
-        String::from_utf8(command.output().unwrap().stdout).unwrap().trim().to_owned()
-    };
-    let (one, other) = (key("one"), key("other"));
+    let [one, other] = ["one", "other"].map(|name| key_of(data.path(), name));
     let service = Service::start_on(data.clone(), &["--max-uploads-each", "2"]);
     let slow = [(); 2].map(|()| half_an_upload(service.address(), Some(&one)));
     files(&service, 2).await;

@@ -6,9 +6,8 @@ use jsonwebtoken::Algorithm;
 use serde_json::Value;
 
 use crate::issuer::{KeyFile, Signer, claims, set};
-use crate::meshes;
 use crate::service::problem;
-use crate::tokens::{list, until};
+use crate::tokens::{list, slow_job, until};
 
 /// As when a right to read the file is taken away and given back: what tells one state of it from the next stays the same.
 #[tokio::test]
@@ -45,9 +44,7 @@ async fn a_stream_goes_on_over_a_moment_without_the_keys() {
     let file = KeyFile::new(&set(&[&signer]));
     let service = file.start(&["--workers", "1"]);
     let token = signer.sign(&claims("anna", "submit read"));
-    let request = service.post("/v1/jobs?smoothing=true&preset=paper").bearer_auth(&token);
-    let response = request.body(meshes::stl(&meshes::tube(600, 120))).send().await.unwrap();
-    let job = response.headers()["location"].to_str().unwrap().to_owned();
+    let job = slow_job(&service, &token).await;
     let mut response = service.get(&format!("{job}/events")).bearer_auth(&token).send().await.unwrap();
     file.put("{");
     // Less than from one look at its token to the next.

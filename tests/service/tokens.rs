@@ -340,15 +340,20 @@ fn a_set_up_without_keys_is_refused_at_the_start() {
     refused(&arguments("x")[4..], "--jwt-issuer");
 }
 
+/// A job that runs for a while.
+pub async fn slow_job(service: &Service, token: &str) -> String {
+    let request = service.post("/v1/jobs?smoothing=true&preset=paper").bearer_auth(token);
+    let response = request.body(meshes::stl(&meshes::tube(600, 120))).send().await.unwrap();
+    response.headers()["location"].to_str().unwrap().to_owned()
+}
+
 #[tokio::test]
 async fn a_stream_ends_soon_after_its_token() {
     let signer = Signer::new("one", Algorithm::ES256);
     let file = KeyFile::new(&set(&[&signer]));
     let service = file.start(&["--workers", "1"]);
     let token = signer.sign(&claims("anna", "submit read"));
-    let request = service.post("/v1/jobs?smoothing=true&preset=paper").bearer_auth(&token);
-    let response = request.body(meshes::stl(&meshes::tube(600, 120))).send().await.unwrap();
-    let job = response.headers()["location"].to_str().unwrap().to_owned();
+    let job = slow_job(&service, &token).await;
     // In time for three seconds more, with the half minute that clocks may differ by.
     let short = signer.sign(&but(json!({"sub": "anna", "exp": at(-27)})));
     let begin = Instant::now();

@@ -36,18 +36,23 @@ pub fn lobes(tube: &SweptTube, heard: &[Heard], rung: usize) -> Vec<f64> {
     let one = |station: usize| {
         let shape = &tube.shapes[station];
         let short = shape.x - shape.y.hypot(shape.z);
+        // Order, how sure it is, and its two terms.
+        let harmonic = |(order, fitted): &(i32, Fitted)| {
+            let [cos, sin] = [fitted.curve[station].x, fitted.curve[station].y];
+            let square = cos * cos + sin * sin;
+            let noise = ((square - fitted.haze).max(0.0) / square.max(f64::MIN_POSITIVE)).sqrt();
+            let sure = noise * (2.0 * square.sqrt() / facets - 1.0).clamp(0.0, 1.0);
+            (f64::from(*order), sure, [cos, sin])
+        };
+        let harmonics: Vec<(f64, f64, [f64; 2])> = found.iter().map(harmonic).collect();
         let wall = |direction: u32| {
             let angle = TAU * f64::from(direction) / f64::from(DIRECTIONS);
             let ellipse = shape.x + shape.y * (2.0 * angle).cos() + shape.z * (2.0 * angle).sin();
-            let lobe = |(order, fitted): &(i32, Fitted)| {
-                let [cos, sin] = [fitted.curve[station].x, fitted.curve[station].y];
-                let square = cos * cos + sin * sin;
-                let noise = ((square - fitted.haze).max(0.0) / square.max(f64::MIN_POSITIVE)).sqrt();
-                let sure = noise * (2.0 * square.sqrt() / facets - 1.0).clamp(0.0, 1.0);
-                let angle = f64::from(*order) * angle;
+            let lobes = harmonics.iter().map(|(order, sure, [cos, sin])| {
+                let angle = order * angle;
                 sure * (cos * angle.cos() + sin * angle.sin())
-            };
-            ellipse + found.iter().map(lobe).sum::<f64>()
+            });
+            ellipse + lobes.sum::<f64>()
         };
         let nearest = (0..DIRECTIONS).map(wall).fold(f64::INFINITY, f64::min);
         (short - nearest.max(floor[station] * shape.x)).max(0.0)
