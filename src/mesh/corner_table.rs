@@ -17,6 +17,12 @@ pub fn previous(h: u32) -> u32 {
     if h.is_multiple_of(3) { h + 2 } else { h - 1 }
 }
 
+/// The vertex that a half-edge of a triangle list starts at.
+#[inline]
+pub fn origin(triangles: &[[u32; 3]], h: u32) -> u32 {
+    triangles[(h / 3) as usize][(h % 3) as usize]
+}
+
 /// Opposite half-edges of a closed, oriented, manifold triangle list, and one outgoing half-edge a vertex.
 #[derive(Debug, Clone, Default)]
 pub struct CornerTable {

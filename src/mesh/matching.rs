@@ -5,7 +5,8 @@ use std::f64::consts::TAU;
 use nalgebra::Vector3;
 
 use super::TriangleMesh;
-use super::corner_table::{NONE, next};
+use super::corner_table::{NONE, next, origin};
+use super::edge_groups::{EdgeGroups, half_edge};
 use super::sites::Sites;
 
 /// What matching found and mended, for the warnings.
@@ -17,52 +18,6 @@ pub struct MatchReport {
     pub non_manifold_edges: Sites,
     /// Edges where no consistent orientation exists, each by one of its triangles; the surface is cut there.
     pub conflicting_edges: Sites,
-}
-
-/// The half-edges of every undirected edge, grouped by its smaller vertex: `members[start[v]..start[v + 1]]`.
-struct EdgeGroups {
-    start: Vec<u32>,
-    /// The larger vertex above, the half-edge below: sorted within each vertex.
-    members: Vec<u64>,
-}
-
-impl EdgeGroups {
-    /// Counting sort of the half-edges by their smaller vertex, then a small sort by the larger one.
-    fn of(mesh: &TriangleMesh) -> Self {
-        let sides = |corners: &[u32; 3]| {
-            let [a, b, c] = *corners;
-            [(a.min(b), a.max(b)), (b.min(c), b.max(c)), (c.min(a), c.max(a))]
-        };
-        let mut start = vec![0u32; mesh.vertices.len() + 1];
-        for (low, _) in mesh.triangles.iter().flat_map(sides) {
-            start[low as usize] += 1;
-        }
-        // Each entry comes to be its vertex's end, and is counted down to its start as members come in.
-        for v in 1..start.len() {
-            start[v] += start[v - 1];
-        }
-        let mut members = vec![0u64; 3 * mesh.triangles.len()];
-        for (h, (low, high)) in mesh.triangles.iter().flat_map(sides).enumerate() {
-            let slot = &mut start[low as usize];
-            *slot -= 1;
-            members[*slot as usize] = u64::from(high) << 32 | h as u64;
-        }
-        for pair in start.windows(2) {
-            members[pair[0] as usize..pair[1] as usize].sort_unstable();
-        }
-        Self { start, members }
-    }
-
-    /// The half-edges of each edge, ascending.
-    fn iter(&self) -> impl Iterator<Item = &[u64]> {
-        let of_vertex = |pair: &[u32]| &self.members[pair[0] as usize..pair[1] as usize];
-        self.start.windows(2).flat_map(move |pair| of_vertex(pair).chunk_by(|a, b| a >> 32 == b >> 32))
-    }
-}
-
-/// The half-edge of a member of [`EdgeGroups`].
-fn half_edge(member: u64) -> u32 {
-    member as u32
 }
 
 /// Orients the triangles consistently (in place) and pairs their half-edges.
@@ -86,7 +41,7 @@ pub fn match_half_edges(mesh: &mut TriangleMesh) -> (Vec<u32>, MatchReport) {
             [_] => {}
             [a, b] => {
                 let (a, b) = (half_edge(a), half_edge(b));
-                if origin(mesh, a) != origin(mesh, b) {
+                if origin(&mesh.triangles, a) != origin(&mesh.triangles, b) {
                     pair(a, b);
                 } else {
                     report.conflicting_edges.add(a / 3);
@@ -104,10 +59,6 @@ pub fn match_half_edges(mesh: &mut TriangleMesh) -> (Vec<u32>, MatchReport) {
     (opposite, report)
 }
 
-fn origin(mesh: &TriangleMesh, h: u32) -> u32 {
-    mesh.triangles[(h / 3) as usize][(h % 3) as usize]
-}
-
 /// Flood-fills orientation over the edges with exactly two triangles; the majority in each patch stays.
 fn orient(mesh: &mut TriangleMesh, groups: &EdgeGroups) -> Sites {
     let pairs = || {
@@ -116,7 +67,7 @@ fn orient(mesh: &mut TriangleMesh, groups: &EdgeGroups) -> Sites {
             _ => None,
         })
     };
-    if pairs().all(|(a, b)| origin(mesh, a) != origin(mesh, b)) {
+    if pairs().all(|(a, b)| origin(&mesh.triangles, a) != origin(&mesh.triangles, b)) {
         return Sites::default();
     }
     let count = mesh.triangles.len();
@@ -145,7 +96,7 @@ fn orient(mesh: &mut TriangleMesh, groups: &EdgeGroups) -> Sites {
                 if other == NONE || turned[(other / 3) as usize] != UNSEEN {
                     continue;
                 }
-                let same_direction = u8::from(origin(mesh, h) == origin(mesh, other));
+                let same_direction = u8::from(origin(&mesh.triangles, h) == origin(&mesh.triangles, other));
                 turned[(other / 3) as usize] = turned[t as usize] ^ same_direction;
                 patch.push(other / 3);
             }
@@ -192,7 +143,7 @@ fn pair_by_patch(mesh: &TriangleMesh, group: &[u32], patches: &[u32]) -> (Vec<(u
     let mut rest = Vec::new();
     for own in sorted.chunk_by(|&a, &b| patch(a) == patch(b)) {
         match *own {
-            [a, b] if origin(mesh, a) != origin(mesh, b) => pairs.push((a, b)),
+            [a, b] if origin(&mesh.triangles, a) != origin(&mesh.triangles, b) => pairs.push((a, b)),
             _ => rest.extend_from_slice(own),
         }
     }
@@ -203,7 +154,7 @@ fn pair_by_patch(mesh: &TriangleMesh, group: &[u32], patches: &[u32]) -> (Vec<(u
 /// Pairs the triangles around an edge so that each pair bounds one wedge of the inside.
 fn pair_by_angle(mesh: &TriangleMesh, group: &[u32]) -> Vec<(u32, u32)> {
     let Some(&first) = group.first() else { return Vec::new() };
-    let low = group.iter().map(|&h| origin(mesh, h)).min().unwrap_or(0);
+    let low = group.iter().map(|&h| origin(&mesh.triangles, h)).min().unwrap_or(0);
     let triangle = mesh.triangles[(first / 3) as usize];
     let (a, b) = (triangle[(first % 3) as usize], triangle[(next(first) % 3) as usize]);
     let (from, to) = if a == low { (a, b) } else { (b, a) };
@@ -221,7 +172,7 @@ fn pair_by_angle(mesh: &TriangleMesh, group: &[u32]) -> Vec<(u32, u32)> {
             (u, axis.cross(&u))
         });
         let angle = arm.dot(&v).atan2(arm.dot(&u)).rem_euclid(TAU);
-        fans.push((angle, origin(mesh, h) == low, h));
+        fans.push((angle, origin(&mesh.triangles, h) == low, h));
     }
     fans.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.2.cmp(&y.2)));
     // With outward normals, the inside of a forward triangle lies on the side of smaller angles.

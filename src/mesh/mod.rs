@@ -3,6 +3,7 @@
 mod cavities;
 mod components;
 pub mod corner_table;
+mod edge_groups;
 mod flat_caps;
 pub mod format;
 mod matching;

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use super::TriangleMesh;
 use super::components::{Order, leave_cavities_out, split_components};
 use super::corner_table::{CornerTable, NONE, next, previous};
+use super::edge_groups::EdgeGroups;
 use super::flat_caps;
 use super::matching::{MatchReport, match_half_edges};
 use super::measures::{area, diagonal, signed_volume, total_area};
@@ -132,14 +133,11 @@ pub fn prepare_while<E: From<PreparationError> + Send>(
         triangles: mesh.triangles.len(),
         ..Default::default()
     };
-    let (mut soup, kept) = without_repeats(mesh, &mut report)?;
+    let (mut soup, kept) = with_area(mesh, &mut report)?;
     go_on()?;
-    let (mut opposite, matching) = match_half_edges(&mut soup);
-    report.matching = MatchReport {
-        flipped: matching.flipped.renamed(&kept),
-        non_manifold_edges: matching.non_manifold_edges.renamed(&kept),
-        conflicting_edges: matching.conflicting_edges.renamed(&kept),
-    };
+    let plain = EdgeGroups::of(&soup).plain_pairs(&soup.triangles);
+    go_on()?;
+    let mut opposite = plain.unwrap_or_else(|| matched(&mut soup, kept, &mut report));
     go_on()?;
     let names;
     (report.split_vertices, names) = split_fans(&mut soup, &opposite);
@@ -153,15 +151,21 @@ pub fn prepare_while<E: From<PreparationError> + Send>(
     Ok(Prepared { components, report })
 }
 
-/// The triangles that count, near vertices of a mesh in pieces made one; and which triangles of the mesh they are.
-fn without_repeats(
+/// The triangles with three different corners, near vertices of a mesh in pieces made one; and which triangles of the
+/// mesh they are.
+fn with_area(
     mesh: &TriangleMesh,
     report: &mut PreparationReport,
 ) -> Result<(TriangleMesh, Vec<u32>), PreparationError> {
     let snapped = snap(mesh);
     let given = snapped.as_ref().map_or(&mesh.triangles, |(triangles, _)| triangles);
     report.snapped_vertices = snapped.as_ref().map_or_else(Sites::default, |(_, moved)| *moved);
-    let kept = distinct(given, report);
+    let degenerate = |t: &u32| {
+        let [a, b, c] = given[*t as usize];
+        a == b || b == c || c == a
+    };
+    report.degenerate = (0..given.len() as u32).filter(degenerate).collect();
+    let kept: Vec<u32> = (0..given.len() as u32).filter(|t| !degenerate(t)).collect();
     let triangles = kept.iter().map(|&t| given[t as usize]).collect();
     let soup = TriangleMesh { vertices: mesh.vertices.clone(), triangles };
     report.diagonal = diagonal(&soup);
@@ -169,6 +173,26 @@ fn without_repeats(
         return Err(PreparationError::AllDegenerate { triangles: mesh.triangles.len() });
     }
     Ok((soup, kept))
+}
+
+/// Leaves out triangles that came before, and matches the half-edges of the others; `kept`: which triangles of the mesh
+/// those of the soup are.
+fn matched(soup: &mut TriangleMesh, mut kept: Vec<u32>, report: &mut PreparationReport) -> Vec<u32> {
+    let repeated = repeated(&soup.triangles);
+    report.duplicates = repeated.iter().map(|&t| kept[t as usize]).collect();
+    if !repeated.is_empty() {
+        let mut stays = vec![true; kept.len()];
+        repeated.iter().for_each(|&t| stays[t as usize] = false);
+        let numbers = (0..kept.len()).filter(|&t| stays[t]);
+        (kept, soup.triangles) = numbers.map(|t| (kept[t], soup.triangles[t])).unzip();
+    }
+    let (opposite, matching) = match_half_edges(soup);
+    report.matching = MatchReport {
+        flipped: matching.flipped.renamed(&kept),
+        non_manifold_edges: matching.non_manifold_edges.renamed(&kept),
+        conflicting_edges: matching.conflicting_edges.renamed(&kept),
+    };
+    opposite
 }
 
 /// Opens flat caps, caps all openings, and puts the vertices in order: the openings, the holes of the wall, the order.
@@ -206,27 +230,19 @@ fn check(mesh: &TriangleMesh) -> Result<(), PreparationError> {
     Ok(())
 }
 
-/// Triangles with three different corners, each set of corners once; ascending.
-fn distinct(triangles: &[[u32; 3]], report: &mut PreparationReport) -> Vec<u32> {
-    let mut sorted: Vec<([u32; 3], u32)> = Vec::with_capacity(triangles.len());
-    let mut kept = vec![true; triangles.len()];
-    for (t, triangle) in triangles.iter().enumerate() {
-        let mut key = *triangle;
+/// The triangles whose corners are those of one before; ascending.
+fn repeated(triangles: &[[u32; 3]]) -> Vec<u32> {
+    let key = |(t, corners): (usize, &[u32; 3])| {
+        let mut key = *corners;
         key.sort_unstable();
-        if key[0] == key[1] || key[1] == key[2] {
-            report.degenerate.add(t as u32);
-            kept[t] = false;
-        } else {
-            sorted.push((key, t as u32));
-        }
-    }
+        (key, t as u32)
+    };
+    let mut sorted: Vec<([u32; 3], u32)> = triangles.iter().enumerate().map(key).collect();
     sorted.par_sort_unstable();
-    let repeated = sorted.windows(2).filter(|pair| pair[0].0 == pair[1].0);
-    let mut repeated: Vec<u32> = repeated.map(|pair| pair[1].1).collect();
+    let twins = sorted.windows(2).filter(|pair| pair[0].0 == pair[1].0);
+    let mut repeated: Vec<u32> = twins.map(|pair| pair[1].1).collect();
     repeated.sort_unstable();
-    repeated.iter().for_each(|&t| kept[t as usize] = false);
-    report.duplicates = repeated.into_iter().collect();
-    (0..triangles.len() as u32).filter(|&t| kept[t as usize]).collect()
+    repeated
 }
 
 /// Gives each fan of triangles around a vertex a vertex of its own; returns the vertices that were doubled, and each

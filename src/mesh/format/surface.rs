@@ -147,26 +147,45 @@ pub(super) struct Soup<'a> {
     limits: &'a Limits,
     welder: Welder,
     triangles: Vec<[u32; 3]>,
+    /// Triangles of the file before its first.
+    before: usize,
 }
 
 impl<'a> Soup<'a> {
     /// `triangles` is backed by the size of the file, so that room for them can be made.
     pub(super) fn new(format: Format, limits: &'a Limits, triangles: usize) -> Self {
+        Self::after(0, format, limits, triangles)
+    }
+
+    /// Of a part of a file that has so many triangles before it.
+    pub(super) fn after(before: usize, format: Format, limits: &'a Limits, triangles: usize) -> Self {
         // A closed surface has half as many vertices as triangles.
         let welder = Welder::with_capacity(triangles / 2 + 2);
-        Soup { format, limits, welder, triangles: Vec::with_capacity(triangles) }
+        Soup { format, limits, welder, triangles: Vec::with_capacity(triangles), before }
     }
 
     pub(super) fn triangle(&mut self, corners: [[f64; 3]; 3]) -> Result<(), ReadError> {
         let mut indices = [0; 3];
         for (place, corner) in corners.into_iter().enumerate() {
             if corner.iter().any(|coordinate| !coordinate.is_finite()) {
-                let vertex = self.triangles.len() * 3 + place;
+                let vertex = (self.before + self.triangles.len()) * 3 + place;
                 return Err(ReadError::NonFinite { format: self.format, vertex });
             }
             indices[place] = self.welder.insert(Point3::from(corner));
         }
         self.triangles.push(indices);
+        self.check()
+    }
+
+    /// Takes the triangles of the file's next part.
+    pub(super) fn append(&mut self, next: Self) -> Result<(), ReadError> {
+        let names: Vec<u32> =
+            next.welder.into_vertices().into_iter().map(|point| self.welder.insert(point)).collect();
+        self.triangles.extend(next.triangles.into_iter().map(|corners| corners.map(|v| names[v as usize])));
+        self.check()
+    }
+
+    fn check(&self) -> Result<(), ReadError> {
         let most = self.limits.vertices.min(MOST_VERTICES);
         check_limit(self.format, "vertices", self.welder.len(), most)?;
         check_limit(self.format, "triangles", self.triangles.len(), self.limits.triangles)
