@@ -113,10 +113,11 @@ fn component(
         let cuts: Vec<u32> = openings.flat_map(|o| o.rim.iter().copied().chain([o.centre])).collect();
         smoothing_filter::smooth(&mut surface.mesh, &cuts, control)?;
     }
-    let grid = TriangleGrid::new(surface);
-    let mut graph = match parameters.preset() {
-        Preset::Default => preset_default::extract_component(&grid, parameters, picks, control),
-        Preset::Paper => preset_paper::extract_component(surface, diagonal, parameters, picks, control),
+    let surface = &*surface;
+    let (grid, mut graph) = match parameters.preset() {
+        Preset::Default => preset_default::extract_component(surface, parameters, picks, control),
+        Preset::Paper => preset_paper::extract_component(surface, diagonal, parameters, picks, control)
+            .map(|graph| (TriangleGrid::new(surface), graph)),
     }?;
     graph.check_numbers()?;
     if let Some(root) = picks.root {

@@ -30,34 +30,50 @@ use crate::centerline::tips::{Branching, Chain};
 use crate::centerline::triangle_grid::TriangleGrid;
 use crate::centerline::{Control, ExtractError, Parameters, Stage};
 
-/// The centerline of one component, its triangles sorted into `grid`.
+/// The centerline of one component, and its triangles, sorted on the way.
 ///
 /// # Errors
 /// [`ExtractError::NotTubular`] for a blob, [`ExtractError::Cancelled`].
-pub fn extract_component(
-    grid: &TriangleGrid<'_>,
+pub fn extract_component<'a>(
+    surface: &'a Surface,
     parameters: &Parameters,
     picks: &Picks,
     control: &Control<'_>,
-) -> Result<ComponentGraph, ExtractError> {
+) -> Result<(TriangleGrid<'a>, ComponentGraph), ExtractError> {
     control.report(Stage::Tips, 0.0)?;
+    // The first front has nothing beside it.
+    let (grid, found) = rayon::join(
+        || TriangleGrid::new(surface),
+        || skeleton(surface, parameters.tip_height(), picks, Among::AllEnds, control),
+    );
+    let (graph, branching) = found?;
+    let result = connect(&grid, &graph, &branching, control)?;
+    Ok((grid, result))
+}
+
+/// The line along the branches of the Reeb graph: all stages after the segmentation.
+fn connect(
+    grid: &TriangleGrid<'_>,
+    graph: &ReebGraph,
+    branching: &Branching,
+    control: &Control<'_>,
+) -> Result<ComponentGraph, ExtractError> {
     let surface = grid.surface();
-    let (graph, branching) = skeleton(surface, parameters.tip_height(), picks, Among::AllEnds, control)?;
-    let Branching { chains, raised, .. } = &branching;
-    let mut network = Network::new(&graph, chains);
+    let Branching { chains, raised, .. } = branching;
+    let mut network = Network::new(graph, chains);
     control.report(Stage::CutPlanes, 0.0)?;
     let look = || {
         let work = network.tracks.par_iter_mut().zip(chains);
         let one = |(track, chain): (&mut Track, &Chain)| {
             control.cancel.check()?;
-            track.rings = rings(surface, &graph, chain);
+            track.rings = rings(surface, graph, chain);
             Ok::<(), ExtractError>(())
         };
         work.try_for_each(one)
     };
-    let (owners, looked) = rayon::join(|| owners(surface, &graph, chains), look);
+    let (owners, looked) = rayon::join(|| owners(surface, graph, chains), look);
     looked?;
-    let trusted = cut_planes(grid, &graph, (chains, raised), &owners, &mut network, control)?;
+    let trusted = cut_planes(grid, graph, (chains, raised), &owners, &mut network, control)?;
     if network.tracks.iter().all(|track| track.stations.iter().all(|s| s.sight != Sight::Clean)) {
         let detail = "no plane cuts it in a closed section that is one vessel's own".to_owned();
         return Err(ExtractError::Undersampled { detail });

@@ -87,7 +87,10 @@ pub fn settle(surface: &Surface, track: &mut Track) {
 
 /// Moves a station to the middle of its section; its profile is not noted.
 fn pass(surface: &Surface, station: &mut Station, cut: &Section, measure: &SectionMeasure) {
-    let [x, y] = WallShape::of(surface, cut, &measure.centroid, measure.radius()).offset;
+    /// Even facets, as many as that around, cut away less than a hundredth of the radius: the middle is the centroid.
+    const FINE: usize = 48;
+    let coarse = || WallShape::of(surface, cut, &measure.centroid, measure.radius()).offset;
+    let [x, y] = if cut.points.len() < FINE { coarse() } else { [0.0; 2] };
     station.target = cut.frame.lift(&(measure.centroid + Vector2::new(x, y)));
     station.frame = cut.frame;
     station.sight = Sight::Clean;

@@ -87,13 +87,15 @@ impl SectionMeasure {
 ///
 /// O(triangles crossed). `None` when the plane misses the seed.
 pub fn section(surface: &Surface, frame: Frame, seed: u32) -> Option<Section> {
+    /// Sides that most sections have at most.
+    const USUAL: usize = 96;
     let side = |v: u32| (surface.mesh.vertices[v as usize] - frame.origin).dot(&frame.t);
     let corners = &surface.corners;
     // Leaving each triangle over its upward half-edge runs counter-clockwise around the lumen.
     let upward = |h: &u32| side(corners.origin(*h)) < 0.0 && side(corners.target(*h)) >= 0.0;
     let start = (3 * seed..3 * seed + 3).find(upward)?;
-    let mut points = Vec::new();
-    let mut triangles = Vec::new();
+    let mut points = Vec::with_capacity(USUAL);
+    let mut triangles = Vec::with_capacity(USUAL);
     let mut h = start;
     // The ends of the half-edge at hand, below and above the plane.
     let end = |v: u32| (surface.mesh.vertices[v as usize], side(v));
@@ -328,8 +330,8 @@ fn small_angle(tangent: f64) -> f64 {
 
 /// Angle from `a` to `b`, in -pi..pi.
 pub fn signed_angle(a: &Vector2<f64>, b: &Vector2<f64>) -> f64 {
-    /// Nearly all sides are that short; below this tangent the series is exact to the last digit.
-    const SMALL: f64 = 0.1;
+    /// Nearly all sides are that short.
+    const SMALL: f64 = 0.27;
     let (cross, dot) = (a.x * b.y - a.y * b.x, a.dot(b));
     if cross.abs() < SMALL * dot {
         return small_angle(cross / dot);

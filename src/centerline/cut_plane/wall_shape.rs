@@ -92,9 +92,9 @@ impl WallShape {
         };
         let fit = cholesky.solve(&right);
         let left = (squares - fit.dot(&right)).max(0.0) / (count - TERMS.min(count - 1)) as f64;
-        let polygon = polygon_offset(cut, centre);
         // Only where facets cut far inside the wall does the polygon's centroid stray.
         let coarse = ((fit[0] - radius) / fit[0] / FACETS - 1.0).clamp(0.0, 1.0);
+        let polygon = if coarse > 0.0 { polygon_offset(cut, centre) } else { [0.0; 2] };
         Self {
             mean: fit[0],
             ellipse: [fit[3], fit[4]],
@@ -172,7 +172,7 @@ fn wall_vertices(surface: &Surface, cut: &Section) -> Vec<u32> {
     vertices
 }
 
-/// Normal equations.
+/// Normal equations: the lower half, column by column, two entries at a time, all that Cholesky's decomposition reads.
 #[derive(Default)]
 struct Sums {
     normal: [[f64; TERMS]; TERMS],
@@ -183,8 +183,9 @@ struct Sums {
 
 impl Sums {
     fn add(&mut self, row: &[f64; TERMS], distance: f64) {
-        for (column, &a) in self.normal.iter_mut().zip(row) {
-            column.iter_mut().zip(row).for_each(|(sum, &b)| *sum += a * b);
+        for (number, (column, &a)) in self.normal.iter_mut().zip(row).enumerate() {
+            let below = number / 2 * 2;
+            column[below..].iter_mut().zip(&row[below..]).for_each(|(sum, &b)| *sum += a * b);
         }
         self.right.iter_mut().zip(row).for_each(|(sum, &a)| *sum += a * distance);
         self.squares += distance * distance;

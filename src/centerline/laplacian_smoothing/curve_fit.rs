@@ -24,58 +24,69 @@ pub fn fit_curve(
 }
 
 /// Targets, weights and spacing of a curve that is fitted several times, more and less stiff.
-pub struct CurveFit<'a> {
+///
+/// `WIDTH`: how many points take part in a difference, times how many coordinates move.
+pub struct CurveFit<'a, const WIDTH: usize> {
     /// The curve is told from the first of them on.
     points: &'a [Point3<f64>],
+    /// The first coordinates, that move; the others stay.
+    axes: usize,
     /// The normal equations without a penalty.
-    system: Banded,
+    system: Banded<WIDTH>,
     right: Vec<f64>,
     seconds: Vec<[f64; 3]>,
     thirds: Vec<[f64; 4]>,
 }
 
-impl<'a> CurveFit<'a> {
+impl<'a> CurveFit<'a, 12> {
     /// As for [`fit_curve`].
     pub fn new(targets: &'a [Point3<f64>], weights: &[Matrix3<f64>], abscissa: &[f64]) -> Self {
-        Self::pulled(targets, weights, |_| Vector3::zeros(), abscissa)
+        Self::pulled(targets, 3, weights, |_| Vector3::zeros(), abscissa)
     }
+}
 
+impl<'a, const WIDTH: usize> CurveFit<'a, WIDTH> {
     /// The same where the targets are not known, only the right sides: how `pull` draws each of `points`, its weight
-    /// times the way to its target.
+    /// times the way to its target. Only the first `axes` coordinates of the points move; the others are all alike.
     pub fn pulled(
         points: &'a [Point3<f64>],
+        axes: usize,
         weights: &[Matrix3<f64>],
         pull: impl Fn(usize) -> Vector3<f64>,
         abscissa: &[f64],
     ) -> Self {
         /// Holds directions that nothing else pins.
         const HOLD: f64 = 1e-9;
-        let mut system = Banded::new(3 * points.len());
-        let mut right = Vec::with_capacity(3 * points.len());
+        let mut system = Banded::new(axes * points.len());
+        let mut right = Vec::with_capacity(axes * points.len());
         for (i, (point, weight)) in points.iter().zip(weights).enumerate() {
             let away = point - points[0];
-            right.extend_from_slice((weight * away + away * HOLD + pull(i)).as_slice());
-            for row in 0..3 {
-                for column in row..3 {
-                    system.add(3 * i + row, 3 * i + column, weight[(row, column)]);
+            right.extend_from_slice(&(weight * away + away * HOLD + pull(i)).as_slice()[..axes]);
+            for row in 0..axes {
+                for column in row..axes {
+                    system.add(axes * i + row, axes * i + column, weight[(row, column)]);
                 }
-                system.add(3 * i + row, 3 * i + row, HOLD);
+                system.add(axes * i + row, axes * i + row, HOLD);
             }
         }
-        Self { points, system, right, seconds: differences(abscissa), thirds: differences(abscissa) }
+        Self { points, axes, system, right, seconds: differences(abscissa), thirds: differences(abscissa) }
     }
 
-    /// The curve for weights of the squared third and second differences. O(n).
+    /// The curve for weights of the squared third and second differences; third ones only where `WIDTH` has room for
+    /// them. O(n).
     pub fn curve(&self, third: impl Fn(usize) -> f64, second: f64) -> Vec<Point3<f64>> {
         let Some(origin) = self.points.first().filter(|_| self.points.len() >= 3) else {
             return self.points.to_vec();
         };
         let mut system = self.system.clone();
-        penalise(&mut system, &self.seconds, |_| second);
-        penalise(&mut system, &self.thirds, third);
+        penalise(&mut system, self.axes, &self.seconds, |_| second);
+        if WIDTH >= 4 * self.axes {
+            penalise(&mut system, self.axes, &self.thirds, third);
+        }
         let mut moved = self.right.clone();
         system.solve(&mut moved);
-        moved.chunks_exact(3).map(|p| origin + Vector3::new(p[0], p[1], p[2])).collect()
+        let way = |moved: &[f64]| Vector3::from_fn(|axis, _| moved.get(axis).copied().unwrap_or(0.0));
+        moved.chunks_exact(self.axes).map(|moved| origin + way(moved)).collect()
     }
 }
 
@@ -95,8 +106,9 @@ fn differences<const POINTS: usize>(abscissa: &[f64]) -> Vec<[f64; POINTS]> {
 }
 
 /// Adds the squares of differences, each by its weight.
-fn penalise<const POINTS: usize>(
-    system: &mut Banded,
+fn penalise<const POINTS: usize, const WIDTH: usize>(
+    system: &mut Banded<WIDTH>,
+    axes: usize,
     differences: &[[f64; POINTS]],
     weight: impl Fn(usize) -> f64,
 ) {
@@ -108,8 +120,8 @@ fn penalise<const POINTS: usize>(
         for i in 0..POINTS {
             for j in i..POINTS {
                 let value = weight * coefficient[i] * coefficient[j];
-                for axis in 0..3 {
-                    system.add(3 * (start + i) + axis, 3 * (start + j) + axis, value);
+                for axis in 0..axes {
+                    system.add(axes * (start + i) + axis, axes * (start + j) + axis, value);
                 }
             }
         }

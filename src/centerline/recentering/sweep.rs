@@ -157,7 +157,7 @@ fn fit_tube(tube: &mut SweptTube, wall: &[WallVertex]) -> Option<(Fitted, Fitted
         let before = fitted.as_ref();
         let was_flat = before.is_some_and(|(shape, _)| shape.flat);
         let shape = fit_shape(tube, &heard, search(before.map(|(shape, _)| shape)), was_flat)?;
-        tube.shapes = shape.curve.iter().map(|p| p.coords).collect();
+        tube.set_shapes(shape.curve.iter().map(|p| p.coords).collect());
         let centre = fit_centre(tube, &heard, search(before.map(|(_, centre)| centre)))?;
         tube.points.clone_from(&centre.curve);
         tube.settle();

@@ -37,7 +37,9 @@ pub struct Fitted {
 }
 
 /// What is fitted: values at the stations, and how a vertex sees them.
-struct Problem<'a, Row: Fn(&Heard) -> Vector3<f64>, Hold: Fn(usize) -> Matrix3<f64>> {
+///
+/// `WIDTH`: of a value the numbers that move, times the points that take part in a difference.
+struct Problem<'a, const WIDTH: usize, Row: Fn(&Heard) -> Vector3<f64>, Hold: Fn(usize) -> Matrix3<f64>> {
     tube: &'a SweptTube,
     heard: &'a [Heard],
     values: Vec<Point3<f64>>,
@@ -56,18 +58,18 @@ struct Problem<'a, Row: Fn(&Heard) -> Vector3<f64>, Hold: Fn(usize) -> Matrix3<f
 /// The shape along the tube: with an ellipse where that explains the vertices better than a circle, by the
 /// Bayesian information criterion (Schwarz 1978). `was_flat`: what was chosen before, and stays if the stiffness does.
 pub fn fit_shape(tube: &SweptTube, heard: &[Heard], search: Search, was_flat: bool) -> Option<Fitted> {
-    let flat = Matrix3::from_diagonal(&Vector3::new(0.0, 1.0, 1.0));
+    let hold = |_| Matrix3::zeros();
     let circle = || {
         let values = tube.shapes.iter().map(|s| Point3::new(s.x, 0.0, 0.0)).collect();
-        let (row, hold) = (|_: &Heard| Vector3::x(), |_| flat);
+        let row = |_: &Heard| Vector3::x();
         let outside = outside_circle;
-        Problem { tube, heard, values, outside, row, hold, seen: 1.0, order: 2 }.solve(search)
+        Problem::<3, _, _> { tube, heard, values, outside, row, hold, seen: 1.0, order: 2 }.solve(search)
     };
     let ellipse = || {
         let values = tube.shapes.iter().map(|s| Point3::from(*s)).collect();
-        let (row, hold) = (|h: &Heard| h.terms, |_| Matrix3::zeros());
-        let fitted =
-            Problem { tube, heard, values, outside, row, hold, seen: 3.0, order: 2 }.solve(search)?;
+        let row = |h: &Heard| h.terms;
+        let fitted = Problem::<9, _, _> { tube, heard, values, outside, row, hold, seen: 3.0, order: 2 }
+            .solve(search)?;
         Some(Fitted { flat: true, ..fitted })
     };
     if let Search::Keep(_) = search {
@@ -85,9 +87,9 @@ pub fn fit_shape(tube: &SweptTube, heard: &[Heard], search: Search, was_flat: bo
     // vertices share explains.
     let square = {
         let values = tube.shapes.iter().map(|s| Point3::new(s.x, 0.0, 0.0)).collect();
-        let (row, hold) = (|h: &Heard| h.fourth(), |_| Matrix3::zeros());
+        let row = |h: &Heard| h.fourth();
         let outside = outside_circle;
-        Problem { tube, heard, values, outside, row, hold, seen: 3.0, order: 2 }
+        Problem::<9, _, _> { tube, heard, values, outside, row, hold, seen: 3.0, order: 2 }
             .solve(Search::Keep(ellipse.rung))
     };
     let noise = square.map_or(0.0, |square| gain(&square).max(0.0));
@@ -101,8 +103,8 @@ pub fn fit_harmonic(tube: &SweptTube, heard: &[Heard], order: i32, search: Searc
         let [cos, sin] = h.harmonic(tube, order);
         Vector3::new(cos, sin, 0.0)
     };
-    let hold = |_| Matrix3::from_diagonal(&Vector3::z());
-    Problem { tube, heard, values, outside, row, hold, seen: 2.0, order: 2 }.solve(search)
+    let hold = |_| Matrix3::zeros();
+    Problem::<6, _, _> { tube, heard, values, outside, row, hold, seen: 2.0, order: 2 }.solve(search)
 }
 
 /// The line along the middle of the tube; along itself nothing moves it.
@@ -111,10 +113,12 @@ pub fn fit_centre(tube: &SweptTube, heard: &[Heard], search: Search) -> Option<F
     let row = |h: &Heard| h.direction - along(h.station) * along(h.station).dot(&h.direction);
     let hold = |i: usize| along(i) * along(i).transpose();
     let values = tube.points.clone();
-    Problem { tube, heard, values, outside, row, hold, seen: 2.0, order: 3 }.solve(search)
+    Problem::<12, _, _> { tube, heard, values, outside, row, hold, seen: 2.0, order: 3 }.solve(search)
 }
 
-impl<Row: Fn(&Heard) -> Vector3<f64>, Hold: Fn(usize) -> Matrix3<f64>> Problem<'_, Row, Hold> {
+impl<const WIDTH: usize, Row: Fn(&Heard) -> Vector3<f64>, Hold: Fn(usize) -> Matrix3<f64>>
+    Problem<'_, WIDTH, Row, Hold>
+{
     /// The curve as stiff as generalised cross-validation asks for; `None` where most stations hear no vertex.
     /// O(vertices).
     fn solve(&self, search: Search) -> Option<Fitted> {
@@ -143,7 +147,13 @@ impl<Row: Fn(&Heard) -> Vector3<f64>, Hold: Fn(usize) -> Matrix3<f64>> Problem<'
             (squares + (0..n).map(one).sum::<f64>()).max(0.0)
         };
         let scaled: Vec<Matrix3<f64>> = (0..n).map(|i| weights[i] / mean + (self.hold)(i)).collect();
-        let fit = CurveFit::pulled(&self.values, &scaled, |i| pulls[i] / mean, &self.tube.along);
+        let fit = CurveFit::pulled(
+            &self.values,
+            WIDTH / (self.order + 1),
+            &scaled,
+            |i| pulls[i] / mean,
+            &self.tube.along,
+        );
         let tried = |rung: usize| {
             let stiffness = LADDER[rung];
             let curve = self.curve(&fit, stiffness);
@@ -158,7 +168,7 @@ impl<Row: Fn(&Heard) -> Vector3<f64>, Hold: Fn(usize) -> Matrix3<f64>> Problem<'
         }
     }
 
-    fn curve(&self, fit: &CurveFit<'_>, stiffness: f64) -> Vec<Point3<f64>> {
+    fn curve(&self, fit: &CurveFit<'_, WIDTH>, stiffness: f64) -> Vec<Point3<f64>> {
         /// Keeps a bend that no vertex supports from swinging out.
         const SECOND: f64 = 1e-3;
         let (third, second) = if self.order == 3 { (stiffness, SECOND) } else { (0.0, stiffness) };

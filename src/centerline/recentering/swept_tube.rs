@@ -12,6 +12,8 @@ pub struct SweptTube {
     pub frames: Vec<Frame>,
     /// Of each station: mean radius, and the two terms (cos 2, sin 2) of the ellipse in its frame.
     pub shapes: Vec<Vector3<f64>>,
+    /// Of each station: change of the mean radius along the line.
+    slopes: Vec<f64>,
     /// Way along the line to each station.
     pub along: Vec<f64>,
     /// Of each piece between two stations.
@@ -50,7 +52,15 @@ impl SweptTube {
         let points = stations.iter().map(|s| s.point).collect();
         let frames = stations.iter().map(|s| s.frame).collect();
         let shapes = stations.iter().map(|s| Vector3::new(s.shape.mean, 0.0, 0.0)).collect();
-        let mut tube = Self { points, frames, shapes, along: Vec::new(), cubics: Vec::new(), beyond };
+        let mut tube = Self {
+            points,
+            frames,
+            shapes,
+            slopes: Vec::new(),
+            along: Vec::new(),
+            cubics: Vec::new(),
+            beyond,
+        };
         tube.settle();
         for (i, station) in stations.iter().enumerate() {
             let [x, y] = station.shape.ellipse;
@@ -77,6 +87,20 @@ impl SweptTube {
             Cubic::new(step, self.frames[k].t * chord, self.frames[k + 1].t * chord)
         };
         self.cubics = (0..self.points.len() - 1).map(cubic).collect();
+        self.settle_slopes();
+    }
+
+    pub fn set_shapes(&mut self, shapes: Vec<Vector3<f64>>) {
+        self.shapes = shapes;
+        self.settle_slopes();
+    }
+
+    fn settle_slopes(&mut self) {
+        let slope = |station: usize| {
+            let (a, b) = (station.saturating_sub(1), (station + 1).min(self.points.len() - 1));
+            (self.shapes[b].x - self.shapes[a].x) / (self.along[b] - self.along[a]).max(f64::MIN_POSITIVE)
+        };
+        self.slopes = (0..self.points.len()).map(slope).collect();
     }
 
     /// The ellipse's terms at a station, told in another frame of the same plane.
@@ -87,8 +111,7 @@ impl SweptTube {
 
     /// Change of the mean radius along the line at a station.
     pub fn slope(&self, station: usize) -> f64 {
-        let (a, b) = (station.saturating_sub(1), (station + 1).min(self.points.len() - 1));
-        (self.shapes[b].x - self.shapes[a].x) / (self.along[b] - self.along[a]).max(f64::MIN_POSITIVE)
+        self.slopes[station]
     }
 
     /// Whether it has a length at every piece and a radius at every station, all of them numbers.

@@ -94,7 +94,9 @@ pub fn wall_beside(surface: &Surface, stations: &[Station], tube: &SweptTube) ->
         let point = surface.mesh.vertices[v as usize];
         normal(surface, v).map(|normal| WallVertex { point, normal, piece })
     };
-    found.into_iter().filter_map(vertex).collect()
+    let mut wall = Vec::with_capacity(found.len());
+    wall.extend(found.into_iter().filter_map(vertex));
+    wall
 }
 
 /// The piece of the tube that a vertex lies beside, if it is near its wall.
@@ -116,7 +118,9 @@ fn normal(surface: &Surface, v: u32) -> Option<Vector3<f64>> {
 ///
 /// Every weight fades to nothing where it ends, so that rounding moves no vertex in or out.
 pub fn hear(tube: &SweptTube, wall: &[WallVertex]) -> Vec<Heard> {
-    wall.iter().filter_map(|vertex| hear_one(tube, vertex)).collect()
+    let mut heard = Vec::with_capacity(wall.len());
+    heard.extend(wall.iter().filter_map(|vertex| hear_one(tube, vertex)));
+    heard
 }
 
 fn hear_one(tube: &SweptTube, vertex: &WallVertex) -> Option<Heard> {
