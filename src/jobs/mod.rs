@@ -43,6 +43,7 @@ mod service;
 mod settings;
 mod slots;
 mod spans;
+mod stamp;
 mod storage;
 pub mod store;
 mod timeline;

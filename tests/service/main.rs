@@ -24,6 +24,7 @@ mod admission;
 mod bombs;
 mod busy;
 mod changes;
+mod damage;
 mod deletion;
 mod dry_run;
 mod events;

@@ -1,15 +1,12 @@
 //! `GET /v1/jobs/{id}/results/centerline`, and with an extension.
 
-use std::io;
 use std::ops::Range;
 
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use bytes::Bytes;
 use futures::TryStreamExt;
-use futures::stream::BoxStream;
 
 use super::super::document::{self, NegotiatedProblems, ResultProblems};
 use super::super::etag::ETag;
@@ -17,7 +14,7 @@ use super::super::problem::{NOT_ACCEPTABLE, PRECONDITION_FAILED, Problem, RANGE_
 use super::super::{App, coding, negotiation, range};
 use super::status::RETRY_AFTER;
 use super::{Asked, Id};
-use crate::jobs::blob::{BlobError, BlobReader};
+use crate::jobs::blob::{BlobBody, BlobError};
 use crate::jobs::{Coding, JobError, JobId, StoredArtifact};
 use crate::output::OutputFormat;
 
@@ -153,13 +150,13 @@ async fn open(
     id: JobId,
     artifact: &StoredArtifact,
     part: Option<Range<u64>>,
-) -> Result<BlobReader, Problem> {
+) -> Result<BlobBody<'static>, Problem> {
     present(app, id, app.jobs().open_result(artifact, part).await).await
 }
 
 async fn whole(app: &App, id: JobId, artifact: &StoredArtifact) -> Result<Response, Problem> {
     let blob = open(app, id, artifact, None).await?;
-    Ok(described(StatusCode::OK, artifact, blob.size, counted(app, blob.stream)))
+    Ok(described(StatusCode::OK, artifact, artifact.size, counted(app, id, blob)))
 }
 
 async fn partial(
@@ -170,17 +167,21 @@ async fn partial(
 ) -> Result<Response, Problem> {
     let blob = open(app, id, artifact, Some(part.clone())).await?;
     let length = part.end - part.start;
-    let mut response = described(StatusCode::PARTIAL_CONTENT, artifact, length, counted(app, blob.stream));
-    if let Ok(value) = HeaderValue::try_from(range::content_range(&part, blob.size)) {
+    let mut response = described(StatusCode::PARTIAL_CONTENT, artifact, length, counted(app, id, blob));
+    if let Ok(value) = HeaderValue::try_from(range::content_range(&part, artifact.size)) {
         response.headers_mut().insert(header::CONTENT_RANGE, value);
     }
     Ok(response)
 }
 
-/// A result's bytes, counted as they go out.
-fn counted(app: &App, stream: BoxStream<'static, io::Result<Bytes>>) -> Body {
+/// A result's bytes, counted as they go out. Where they end in an error the connection is cut: the client sees that its
+/// answer is not whole.
+fn counted(app: &App, id: JobId, body: BlobBody<'static>) -> Body {
     let counters = app.counters().clone();
-    Body::from_stream(stream.inspect_ok(move |chunk| counters.sent(chunk.len())))
+    let told = body.inspect_ok(move |chunk| counters.sent(chunk.len()));
+    Body::from_stream(
+        told.inspect_err(move |error| tracing::error!(job = %id, %error, "a result was cut short")),
+    )
 }
 
 fn described(status: StatusCode, artifact: &StoredArtifact, length: u64, body: Body) -> Response {
