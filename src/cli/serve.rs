@@ -20,7 +20,9 @@ use crate::http::audit::Trail;
 use crate::http::{self, App, Limits, Tls};
 use crate::jobs::checkup;
 use crate::jobs::isolation::{Isolated, JOB_MEMORY};
-use crate::jobs::{JobService, Retention, Settings, Spans, TooManyWorkers, log_panics_without_text};
+use crate::jobs::{
+    JobService, Retention, Settings, Spans, TooManyWorkers, keep_files_to_owner, log_panics_without_text,
+};
 use crate::mesh;
 use crate::outbound::webhooks::{self, Schedule, TargetFile};
 
@@ -40,6 +42,7 @@ const DISK_REST: Duration = Duration::from_secs(2);
 pub fn run(args: Args) -> Result<(), Failure> {
     start_log(args.log_format)?;
     log_panics_without_text();
+    keep_files_to_owner();
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .max_blocking_threads(DISK_THREADS)

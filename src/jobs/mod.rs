@@ -55,7 +55,7 @@ pub use clock::{Clock, Doubt, ManualClock, SystemClock};
 pub use coding::Coding;
 pub use error::{JobError, Unready};
 pub use failure::JobFailure;
-pub use folder::{DataFolder, FolderError};
+pub use folder::{DataFolder, FolderError, keep_files_to_owner};
 pub use id::{IdSource, JobId, ParseJobIdError};
 pub use live::JobStage;
 pub use meter::{Histogram, StageTimes};
