@@ -136,7 +136,7 @@ fn what_is_wrong_in_a_file_is_told_with_its_line() {
 #[test]
 fn what_belongs_together_is_wanted_together() {
     for (text, missing) in
-        [("tls-cert = \"cert.pem\"\n", "--tls-key"), ("jwt-issuer = \"https://a.example\"\n", "--jwks")]
+        [("tls-cert = \"cert.pem\"\n", "--tls-key"), ("jwt-issuer = \"https://a.example\"\n", "--jwt-audience")]
     {
         let (_folder, path) = file(text);
         let output = rosaline(&["serve", "--print-config", "--config", &path], &[]);

@@ -15,7 +15,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
 use super::Failure;
-use crate::http::access::{Gate, Issuer, KeyError, KeyRing};
+use crate::http::access::{Gate, Issuer, JwksSource, KeyError, KeyRing};
 use crate::http::audit::Trail;
 use crate::http::{self, App, Limits, Tls};
 use crate::jobs::checkup;
@@ -128,22 +128,22 @@ async fn gate(args: &Args) -> Result<Gate, Failure> {
         Some(named) => KeyRing::open_named(named)?,
         None => KeyRing::open(args.data.join("keys.json"))?,
     };
-    let issuer = match (&args.jwt_issuer, &args.jwt_audience, &args.jwks) {
-        (Some(issuer), Some(audience), Some(jwks)) => {
-            if jwks.is_in_the_clear() {
-                tracing::warn!(
-                    "the issuer's keys come in the clear: whoever is in between can make tokens; use https"
-                );
-            }
-            Some(Issuer::open(issuer, audience, jwks.clone())?)
-        }
-        _ => None,
-    };
+    let issuer = issuer(args)?;
+    if args.jwks.as_ref().is_some_and(JwksSource::is_in_the_clear) {
+        tracing::warn!(
+            "the issuer's keys come in the clear: whoever is in between can make tokens; use https"
+        );
+    }
     let gate = Gate::new(keys, issuer);
     if !gate.is_closed() && !args.insecure && has_owners(args).await? {
         return Err(KeyError::Lost { path: args.data.join("keys.json").display().to_string() }.into());
     }
     Ok(gate)
+}
+
+fn issuer(args: &Args) -> Result<Option<Issuer>, Failure> {
+    let (Some(issuer), Some(audience)) = (&args.jwt_issuer, &args.jwt_audience) else { return Ok(None) };
+    Ok(Some(Issuer::open(issuer, audience, args.jwks.clone())?))
 }
 
 async fn has_owners(args: &Args) -> Result<bool, Failure> {

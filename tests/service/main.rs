@@ -26,6 +26,7 @@ mod busy;
 mod changes;
 mod damage;
 mod deletion;
+mod discovery;
 mod dry_run;
 mod events;
 #[cfg(debug_assertions)]

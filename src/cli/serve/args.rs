@@ -60,13 +60,13 @@ pub struct Args {
     #[arg(long, env = "ROSALINE_KEYS", value_name = "FILE")]
     pub keys: Option<PathBuf>,
     /// Issuer of JWTs that are accepted beside keys, as their claim `iss` has it.
-    #[arg(long, env = "ROSALINE_JWT_ISSUER", value_name = "ISSUER", requires_all = ["jwt_audience", "jwks"])]
+    #[arg(long, env = "ROSALINE_JWT_ISSUER", value_name = "ISSUER", requires = "jwt_audience")]
     pub jwt_issuer: Option<String>,
     /// What the claim `aud` of a JWT must name.
     #[arg(long, env = "ROSALINE_JWT_AUDIENCE", value_name = "AUDIENCE", requires = "jwt_issuer")]
     pub jwt_audience: Option<String>,
     /// The issuer's public keys (JWKS): a file, or an http or https URL, which is fetched again every 5 minutes and when
-    /// a token names an unknown key.
+    /// a token names an unknown key [default: where the issuer says, an https URL, by OpenID Connect Discovery].
     #[arg(long, env = "ROSALINE_JWKS", value_name = "FILE|URL", requires = "jwt_issuer")]
     pub jwks: Option<JwksSource>,
     /// Listen on an address that others can reach although no key is needed.
