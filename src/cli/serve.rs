@@ -41,6 +41,7 @@ const DISK_REST: Duration = Duration::from_secs(2);
 /// The address is taken, the data folder cannot be used, or the threads cannot be started.
 pub fn run(args: Args) -> Result<(), Failure> {
     start_log(args.log_format)?;
+    check(&args)?;
     log_panics_without_text();
     keep_files_to_owner();
     let runtime = tokio::runtime::Builder::new_multi_thread()
@@ -51,6 +52,36 @@ pub fn run(args: Args) -> Result<(), Failure> {
     // Outside the runtime, which it would block when it is dropped.
     let exporter = Exporter::start(args.otlp.as_deref())?;
     runtime.block_on(serve(args, exporter.spans()))
+}
+
+/// Whether a service could start with these settings, as far as that is known without doing anything.
+///
+/// # Errors
+/// What is wrong, with the first such setting.
+pub fn check(args: &Args) -> Result<(), Failure> {
+    let is_address = |(host, port): (&str, &str)| !host.is_empty() && port.parse::<u16>().is_ok();
+    if !args.listen.rsplit_once(':').is_some_and(is_address) {
+        return Err(Failure::new(format!(
+            "cannot listen on '{}', which is no HOST:PORT; give --listen one, 127.0.0.1:8080 for example",
+            args.listen
+        )));
+    }
+    settings(args)?;
+    if let (Some(cert), Some(key)) = (&args.tls_cert, &args.tls_key) {
+        Tls::open(cert, key)?;
+    }
+    if let Some(named) = &args.keys {
+        KeyRing::open_named(named)?;
+    }
+    issuer(args)?;
+    if let Some(named) = &args.webhooks {
+        let targets = TargetFile::new(named);
+        if !named.exists() {
+            return Err(targets.missing().into());
+        }
+        targets.list()?;
+    }
+    Ok(())
 }
 
 async fn serve(args: Args, spans: Spans) -> Result<(), Failure> {
