@@ -60,7 +60,17 @@ fn a_phantom_is_extracted_and_measured_against_its_line() {
     assert_eq!(files(folder), ["line.json", "vessel.json", "vessel.stl"]);
 
     let document = read_json(&fs::read(folder.join("line.json")).unwrap()).unwrap();
-    assert_eq!(document.source.name.as_deref(), Some("vessel.stl"));
+    assert_eq!(document.source.name, None, "a file's name may tell of a patient");
+    for (given, name) in [("case 7", Some("case 7")), ("../ward/doe.stl", Some("doe.stl")), ("a/", None)] {
+        done(folder, &["extract", "vessel.stl", "-o", "named.json", "--name", given]);
+        let named = read_json(&fs::read(folder.join("named.json")).unwrap()).unwrap();
+        assert_eq!(named.source.name.as_deref(), name);
+    }
+    fs::remove_file(folder.join("named.json")).unwrap();
+    for given in ["", &"x".repeat(256)] {
+        let line = failure(folder, &["extract", "vessel.stl", "-o", "named.json", "--name", given]);
+        assert!(line.contains("a name has 1 to 255 characters"), "{line}");
+    }
     assert_eq!((document.source.format.as_str(), document.units.as_str()), ("stl", "mm"));
     let truth = read_json(&fs::read(folder.join("vessel.json")).unwrap()).unwrap();
     assert_eq!(document.source.sha256, truth.source.sha256);

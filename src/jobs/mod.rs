@@ -60,8 +60,8 @@ pub use id::{IdSource, JobId, ParseJobIdError};
 pub use live::JobStage;
 pub use meter::{Histogram, StageTimes};
 pub use model::{
-    Counts, FileName, FormatHint, Idempotency, Job, JobSpec, JobStatus, Lease, Load, Origin, StoredArtifact,
-    StoredInput, UnknownStatus,
+    BadName, Counts, FileName, FormatHint, Idempotency, Job, JobSpec, JobStatus, Lease, Load, Origin,
+    StoredArtifact, StoredInput, UnknownStatus,
 };
 pub use outbox::{Delivery, DeliveryCounts, LONGEST_WAIT, Listener, Outbox, Told};
 pub use panics::log_panics_without_text;
