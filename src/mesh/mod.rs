@@ -6,7 +6,7 @@ pub mod corner_table;
 mod flat_caps;
 pub mod format;
 mod matching;
-mod measures;
+pub mod measures;
 pub mod normals;
 mod numbering;
 mod openings;
