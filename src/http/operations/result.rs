@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use futures::TryStreamExt;
 
-use super::super::document::{self, NegotiatedProblems, ResultProblems};
+use super::super::document::{self, ResultProblems};
 use super::super::etag::ETag;
 use super::super::problem::{NOT_ACCEPTABLE, PRECONDITION_FAILED, Problem, RANGE_NOT_SATISFIABLE};
 use super::super::{App, coding, negotiation, range};
@@ -31,7 +31,7 @@ const CACHE_CONTROL: HeaderValue = HeaderValue::from_static("private, max-age=31
     operation_id = "getCenterline",
     tag = document::RESULTS,
     params(document::JobPath, document::AcceptHeader, document::ConditionHeaders),
-    responses(document::AnyResult, NegotiatedProblems)
+    responses(document::AnyResult, ResultProblems)
 )]
 pub async fn negotiated(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<Response, Problem> {
     // First whether there is a result at all: that does not depend on the form.
@@ -100,7 +100,10 @@ pub async fn glb(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<Res
 
 async fn answer(app: &App, id: JobId, format: OutputFormat, asked: &Asked) -> Result<Response, Problem> {
     let codings = coding::accepted(&asked.headers);
-    let artifact = app.jobs().result_in(id, format, &codings).await.map_err(unavailable)?;
+    let artifact = app.jobs().result_in(id, format, &codings).await.map_err(|error| match error {
+        JobError::NoSuchResult { .. } if !codings.contains(&Coding::Identity) => not_in_coding(id, format),
+        error => unavailable(error),
+    })?;
     let etag = ETag::of_digest(&artifact.sha256);
     let headers = &asked.headers;
     if !etag.allows(headers) {
@@ -203,6 +206,13 @@ fn unsatisfiable(id: JobId, length: u64) -> Problem {
         .header(header::CONTENT_RANGE, range::content_range_unsatisfied(length))
         .header(header::ACCEPT_RANGES, "bytes")
         .about(id)
+}
+
+/// The client rules out the result as it is (RFC 9110, section 12.5.3), and there is no other.
+fn not_in_coding(id: JobId, format: OutputFormat) -> Problem {
+    let compressed = "and only texts that get smaller by it are there by gzip and zstd as well";
+    let detail = format!("the {} is there as it is (identity), {compressed}", format.extension());
+    Problem::new(&NOT_ACCEPTABLE, detail).header(header::VARY, "accept-encoding").about(id)
 }
 
 /// Of an active job: when to ask again.
