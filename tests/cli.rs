@@ -229,6 +229,9 @@ fn wrong_arguments_are_one_line_too() {
         (vec!["phantom", "tree", "-o", "a", "--coarse", "--voxel", "1"], "--voxel"),
         (vec!["compare", "a.json"], "RESULT"),
         (vec!["serve", "--max-upload", "much"], "whole number"),
+        (vec!["extract", "a.stl", "-o", "b.json", "--threads", "many"], "give a whole number, 0 or more"),
+        (vec!["phantom", "tree", "-o", "a", "--seed", "1.5"], "give a whole number, 0 or more"),
+        (vec!["phantom", "tree", "-o", "a", "--voxel", "small"], "give a number, 0.4 for example"),
         (vec!["serve", "--threads", "1", "--workers", "2"], "fewer workers"),
     ] {
         let line = failure(Path::new("."), &words);

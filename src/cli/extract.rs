@@ -14,6 +14,7 @@ use crate::mesh::format::{self, Hint, Limits};
 use crate::mesh::{TriangleMesh, Units};
 use crate::output::{self, OutputFormat, ResultDocument, Source};
 
+use super::numbers::whole;
 use super::parameters::ParameterArgs;
 use super::progress::{self, Watch};
 use super::{Failure, files};
@@ -32,7 +33,7 @@ pub struct Args {
     #[arg(long, default_value = "mm")]
     units: Units,
     /// Threads to compute on; 0 takes every core. The result does not depend on it.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, value_parser = whole::<usize>)]
     threads: usize,
     /// Print the time of each stage, and what was found, to stderr.
     #[arg(short, long)]

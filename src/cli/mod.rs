@@ -7,6 +7,7 @@ mod extract;
 mod files;
 mod health;
 mod keys;
+mod numbers;
 mod openapi;
 mod parameters;
 mod phantom;

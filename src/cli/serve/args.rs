@@ -1,12 +1,13 @@
 //! The service's settings: flags, environment variables of the same name, or a configuration file.
 
-use std::num::{IntErrorKind, NonZeroU32, NonZeroU64, NonZeroUsize};
+use std::num::{NonZeroU32, NonZeroU64, NonZeroUsize};
 use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
 
 use clap::builder::NonEmptyStringValueParser;
 
+use super::super::numbers::positive;
 use crate::http::access::JwksSource;
 use crate::jobs::MAX_CRASHES;
 
@@ -39,23 +40,23 @@ pub struct Args {
     pub data: PathBuf,
     /// Jobs that run at once, each on its share of the threads; at most one a thread [default: a quarter of the
     /// threads, at least 2 where there are 2].
-    #[arg(long, env = "ROSALINE_WORKERS", value_name = "N", value_parser = whole::<NonZeroUsize>)]
+    #[arg(long, env = "ROSALINE_WORKERS", value_name = "N", value_parser = positive::<NonZeroUsize>)]
     pub workers: Option<NonZeroUsize>,
     /// Threads that compute, over all workers [default: one a core, at least one a worker].
-    #[arg(long, env = "ROSALINE_THREADS", value_name = "N", value_parser = whole::<NonZeroUsize>)]
+    #[arg(long, env = "ROSALINE_THREADS", value_name = "N", value_parser = positive::<NonZeroUsize>)]
     pub threads: Option<NonZeroUsize>,
     /// How often the process of a job's run may die, or the service while that job runs alone, before the job is failed
     /// instead of run again.
-    #[arg(long, env = "ROSALINE_MAX_CRASHES", default_value_t = MAX_CRASHES, value_name = "N", value_parser = whole::<NonZeroU32>)]
+    #[arg(long, env = "ROSALINE_MAX_CRASHES", default_value_t = MAX_CRASHES, value_name = "N", value_parser = positive::<NonZeroU32>)]
     pub max_crashes: NonZeroU32,
     /// Largest mesh, in bytes or with KiB, MiB or GiB.
     #[arg(long, env = "ROSALINE_MAX_UPLOAD", default_value = "1GiB", value_name = "SIZE")]
     pub max_upload: Size,
     /// Triangles of the largest mesh; it may have half as many vertices and one in a hundred more. They bound the memory of a check.
-    #[arg(long, env = "ROSALINE_MAX_TRIANGLES", default_value = "40000000", value_name = "N", value_parser = whole::<NonZeroUsize>)]
+    #[arg(long, env = "ROSALINE_MAX_TRIANGLES", default_value = "40000000", value_name = "N", value_parser = positive::<NonZeroUsize>)]
     pub max_triangles: NonZeroUsize,
     /// Uploads that are read and checked at the same time; each takes its file's size and its mesh in memory.
-    #[arg(long, env = "ROSALINE_VALIDATIONS", default_value = "2", value_name = "N", value_parser = whole::<NonZeroUsize>)]
+    #[arg(long, env = "ROSALINE_VALIDATIONS", default_value = "2", value_name = "N", value_parser = positive::<NonZeroUsize>)]
     pub validations: NonZeroUsize,
     /// File of the API keys, which `rosaline keys` makes [default: keys.json in the data folder]. Where there is one,
     /// every request needs a key.
@@ -81,17 +82,17 @@ pub struct Args {
     #[arg(long, env = "ROSALINE_AUDIT_ROTATE", default_value = "64MiB", value_name = "SIZE")]
     pub audit_rotate: Size,
     /// Uploads that may come in at the same time.
-    #[arg(long, env = "ROSALINE_MAX_UPLOADS", default_value = "256", value_name = "N", value_parser = whole::<NonZeroUsize>)]
+    #[arg(long, env = "ROSALINE_MAX_UPLOADS", default_value = "256", value_name = "N", value_parser = positive::<NonZeroUsize>)]
     pub max_uploads: NonZeroUsize,
     /// Uploads of one principal, or where no key is needed of one address (of IPv6 one /64), that may come in at the
     /// same time.
-    #[arg(long, env = "ROSALINE_MAX_UPLOADS_EACH", default_value = "64", value_name = "N", value_parser = whole::<NonZeroUsize>)]
+    #[arg(long, env = "ROSALINE_MAX_UPLOADS_EACH", default_value = "64", value_name = "N", value_parser = positive::<NonZeroUsize>)]
     pub max_uploads_each: NonZeroUsize,
     /// Jobs that may wait.
-    #[arg(long, env = "ROSALINE_MAX_QUEUE", default_value = "100000", value_name = "N", value_parser = whole::<NonZeroU64>)]
+    #[arg(long, env = "ROSALINE_MAX_QUEUE", default_value = "100000", value_name = "N", value_parser = positive::<NonZeroU64>)]
     pub max_queue: NonZeroU64,
     /// Jobs of one principal that may wait or run.
-    #[arg(long, env = "ROSALINE_MAX_JOBS_EACH", default_value = "10000", value_name = "N", value_parser = whole::<NonZeroU64>)]
+    #[arg(long, env = "ROSALINE_MAX_JOBS_EACH", default_value = "10000", value_name = "N", value_parser = positive::<NonZeroU64>)]
     pub max_jobs_each: NonZeroU64,
     /// How long one run of a job may take.
     #[arg(long, env = "ROSALINE_MAX_RUN", default_value = "60m", value_name = "TIME")]
@@ -122,7 +123,7 @@ pub struct Args {
     #[arg(long, env = "ROSALINE_WEBHOOK_RETRY", default_value = "5s", value_name = "TIME")]
     pub webhook_retry: Span,
     /// Tries after which a webhook is given up.
-    #[arg(long, env = "ROSALINE_WEBHOOK_ATTEMPTS", default_value = "12", value_name = "N", value_parser = whole::<NonZeroU32>)]
+    #[arg(long, env = "ROSALINE_WEBHOOK_ATTEMPTS", default_value = "12", value_name = "N", value_parser = positive::<NonZeroU32>)]
     pub webhook_attempts: NonZeroU32,
     /// How long a target may take to answer a webhook.
     #[arg(long, env = "ROSALINE_WEBHOOK_TIMEOUT", default_value = "15s", value_name = "TIME")]
@@ -142,17 +143,6 @@ pub struct Args {
 pub enum LogFormat {
     Text,
     Json,
-}
-
-/// A whole number from 1, in words of its own where it is none.
-fn whole<T: TryFrom<NonZeroU64>>(text: &str) -> Result<T, String> {
-    let text = text.trim();
-    let too_large = || "that is more than any; give a smaller whole number".to_owned();
-    match text.parse::<NonZeroU64>() {
-        Ok(number) => T::try_from(number).map_err(|_| too_large()),
-        Err(error) if *error.kind() == IntErrorKind::PosOverflow => Err(too_large()),
-        Err(_) => Err("give a whole number, 1 or more".to_owned()),
-    }
 }
 
 /// A number of bytes.
@@ -220,21 +210,6 @@ fn number_and_unit(text: &str) -> Option<(u64, &str)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn whole_numbers() {
-        assert_eq!(whole::<NonZeroU32>(" 12 ").map(NonZeroU32::get), Ok(12));
-        for text in ["", "0", "-1", "1.5", "many"] {
-            assert_eq!(
-                whole::<NonZeroUsize>(text),
-                Err("give a whole number, 1 or more".to_owned()),
-                "{text}"
-            );
-        }
-        for text in ["4294967296", "99999999999999999999999"] {
-            assert!(whole::<NonZeroU32>(text).unwrap_err().contains("a smaller"), "{text}");
-        }
-    }
 
     #[test]
     fn sizes() {
