@@ -60,7 +60,17 @@ fn a_phantom_is_extracted_and_measured_against_its_line() {
     assert_eq!(files(folder), ["line.json", "vessel.json", "vessel.stl"]);
 
     let document = read_json(&fs::read(folder.join("line.json")).unwrap()).unwrap();
-    assert_eq!(document.source.name.as_deref(), Some("vessel.stl"));
+    assert_eq!(document.source.name, None, "a file's name may tell of a patient");
+    for (given, name) in [("case 7", Some("case 7")), ("../ward/doe.stl", Some("doe.stl")), ("a/", None)] {
+        done(folder, &["extract", "vessel.stl", "-o", "named.json", "--name", given]);
+        let named = read_json(&fs::read(folder.join("named.json")).unwrap()).unwrap();
+        assert_eq!(named.source.name.as_deref(), name);
+    }
+    fs::remove_file(folder.join("named.json")).unwrap();
+    for given in ["", &"x".repeat(256)] {
+        let line = failure(folder, &["extract", "vessel.stl", "-o", "named.json", "--name", given]);
+        assert!(line.contains("a name has 1 to 255 characters"), "{line}");
+    }
     assert_eq!((document.source.format.as_str(), document.units.as_str()), ("stl", "mm"));
     let truth = read_json(&fs::read(folder.join("vessel.json")).unwrap()).unwrap();
     assert_eq!(document.source.sha256, truth.source.sha256);
@@ -219,6 +229,9 @@ fn wrong_arguments_are_one_line_too() {
         (vec!["phantom", "tree", "-o", "a", "--coarse", "--voxel", "1"], "--voxel"),
         (vec!["compare", "a.json"], "RESULT"),
         (vec!["serve", "--max-upload", "much"], "whole number"),
+        (vec!["extract", "a.stl", "-o", "b.json", "--threads", "many"], "give a whole number, 0 or more"),
+        (vec!["phantom", "tree", "-o", "a", "--seed", "1.5"], "give a whole number, 0 or more"),
+        (vec!["phantom", "tree", "-o", "a", "--voxel", "small"], "give a number, 0.4 for example"),
         (vec!["serve", "--threads", "1", "--workers", "2"], "fewer workers"),
     ] {
         let line = failure(Path::new("."), &words);

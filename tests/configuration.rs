@@ -82,8 +82,11 @@ fn any_path_may_name_a_file_and_nothing_of_it_comes_after_the_flags() {
 
     let (folder, _) = file("");
     let path = folder.path().join(std::ffi::OsStr::from_bytes(b"\xff.toml"));
-    std::fs::write(&path, "max-queue = 7\njwt-issuer = \"007\"\njwt-audience = \"7\"\njwks = \"x\"\n")
-        .unwrap();
+    std::fs::write(
+        &path,
+        "max-queue = 7\njwt-issuer = \"007\"\njwt-audience = \"7\"\njwks = \"http://127.0.0.1:9/x\"\n",
+    )
+    .unwrap();
     let mut flag = std::ffi::OsString::from("--config=");
     flag.push(&path);
     let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
@@ -109,7 +112,7 @@ fn what_is_wrong_in_a_file_is_told_with_its_line() {
         ("config = \"other.toml\"\n", 1, "there is no setting 'config'"),
         ("print-config = true\n", 1, "there is no setting 'print-config'"),
         ("workers = 2\nmax-upload = \"1 apple\"\n", 2, "a size is a whole number"),
-        ("workers = 0\n", 1, "--workers"),
+        ("workers = 0\n", 1, "--workers <N>': give a whole number, 1 or more"),
         ("workers = -1\n", 1, "--workers"),
         ("workers = 1.5\n", 1, "'workers' is a text in quotes, or a whole number"),
         ("# the first\ninsecure = \"yes\"\n", 2, "'insecure' is true or false"),
@@ -135,9 +138,10 @@ fn what_is_wrong_in_a_file_is_told_with_its_line() {
 /// Half of a pair must not be passed over: a service would speak without TLS.
 #[test]
 fn what_belongs_together_is_wanted_together() {
-    for (text, missing) in
-        [("tls-cert = \"cert.pem\"\n", "--tls-key"), ("jwt-issuer = \"https://a.example\"\n", "--jwks")]
-    {
+    for (text, missing) in [
+        ("tls-cert = \"cert.pem\"\n", "--tls-key"),
+        ("jwt-issuer = \"https://a.example\"\n", "--jwt-audience"),
+    ] {
         let (_folder, path) = file(text);
         let output = rosaline(&["serve", "--print-config", "--config", &path], &[]);
         assert!(
@@ -145,18 +149,93 @@ fn what_belongs_together_is_wanted_together() {
             "{text}"
         );
     }
-    let (_folder, path) = file("tls-cert = \"cert.pem\"\n");
-    let text = printed(&["--config", &path, "--tls-key", "key.pem"], &[]);
+    let (folder, path) = file("tls-cert = \"cert.pem\"\n");
+    let key = rcgen::KeyPair::generate().unwrap();
+    let cert = rcgen::CertificateParams::new(vec!["a".to_owned()]).unwrap().self_signed(&key).unwrap();
+    for (name, text) in [("cert.pem", cert.pem()), ("key.pem", key.serialize_pem())] {
+        std::fs::write(folder.path().join(name), text).unwrap();
+    }
+    let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+    without_settings(&mut command);
+    command.args(["serve", "--print-config", "--config", &path, "--tls-key", "key.pem"]);
+    let output = command.current_dir(folder.path()).output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert!(
         text.contains("\ntls-cert = \"cert.pem\"\n") && text.contains("\ntls-key = \"key.pem\"\n"),
         "{text}"
     );
 }
 
+/// What a service would not start with, though each value can be read: the settings are printed all the same.
+#[test]
+fn settings_that_a_service_would_not_start_with_are_refused_when_they_are_printed() {
+    let tls = ["--tls-cert", "/nowhere/cert.pem", "--tls-key", "/nowhere/key.pem"];
+    let issuer = ["--jwt-audience", "a", "--jwt-issuer"];
+    for (words, what) in [
+        (&["--listen", "nowhere"][..], "cannot listen on 'nowhere', which is no HOST:PORT"),
+        (&["--listen", "127.0.0.1:99999"], "no HOST:PORT"),
+        (&["--listen", ":8080"], "no HOST:PORT"),
+        (&["--workers", "3", "--threads", "2"], "3 workers"),
+        (&tls, "/nowhere/cert.pem cannot be read"),
+        (&["--keys", "/nowhere/keys.json"], "/nowhere/keys.json is not there"),
+        (&["--webhooks", "/nowhere/targets.json"], "/nowhere/targets.json is not there"),
+        (
+            &[&issuer[..], &["https://a.example", "--jwks", "/nowhere/jwks"]].concat(),
+            "/nowhere/jwks cannot be read",
+        ),
+        (&[&issuer[..], &["ward"]].concat(), "say it with --jwks"),
+    ] {
+        let data = tempfile::tempdir().unwrap();
+        let folder = data.path().join("data");
+        for first in [&["serve", "--print-config"][..], &["serve"]] {
+            let output = rosaline(&[first, words].concat(), &[("ROSALINE_DATA", folder.to_str().unwrap())]);
+            let said = String::from_utf8(output.stderr).unwrap();
+            let lines: Vec<&str> = said.lines().filter(|line| line.starts_with("rosaline: ")).collect();
+            assert!(
+                output.status.code() == Some(1) && lines.len() == 1 && lines[0].contains(what),
+                "{what}: {said}"
+            );
+            assert_eq!(output.stdout.is_empty(), first.len() == 1, "{what}");
+        }
+        assert!(!folder.exists(), "nothing was done");
+    }
+}
+
+/// Not the file's line, which the flag or the variable goes before.
+#[test]
+fn what_is_wrong_is_blamed_on_what_says_it() {
+    let (_folder, path) = file("workers = 2\ninsecure = true\nlog-format = \"text\"\ndata = \"x\"\n");
+    let variable = |name: &str, text: &str| rosaline(&["serve", "--config", &path], &[(name, text)]);
+    let flag = |word: &str| rosaline(&["serve", "--config", &path, word], &[]);
+    let number = "give a whole number, 1 or more";
+    for (output, begin, what) in [
+        (variable("ROSALINE_WORKERS", ""), "the variable ROSALINE_WORKERS: ", number),
+        (variable("ROSALINE_WORKERS", "two"), "the variable ROSALINE_WORKERS: ", number),
+        (variable("ROSALINE_INSECURE", "maybe"), "the variable ROSALINE_INSECURE: ", "true, false"),
+        (variable("ROSALINE_LOG_FORMAT", "xml"), "the variable ROSALINE_LOG_FORMAT: ", "text, json"),
+        (variable("ROSALINE_DATA", ""), "the variable ROSALINE_DATA: ", "a value is required"),
+        (variable("ROSALINE_LISTEN", ""), "the variable ROSALINE_LISTEN: ", "a value is required"),
+        (variable("ROSALINE_GRACE", "1 week"), "the variable ROSALINE_GRACE: ", "whole number of seconds"),
+        (flag("--workers=0"), "invalid value '0'", number),
+        (flag("--workers=99999999999999999999"), "invalid value", "that is more than any"),
+        (flag("--webhook-attempts=4294967296"), "invalid value", "that is more than any"),
+        (flag("--insecure=false"), "--insecure takes no value", "leave it out"),
+    ] {
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!((output.status.code(), said.lines().count()), (Some(1), 1), "{said}");
+        assert!(said.starts_with(&format!("rosaline: {begin}")) && said.contains(what), "{begin}: {said}");
+        assert!(!said.contains("line ") && !said.contains("non-zero") && !said.contains("digit"), "{said}");
+    }
+}
+
 #[test]
 fn the_documents_example_is_taken_as_it_is() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/rosaline.toml");
-    let text = printed(&["--config", path.to_str().unwrap()], &[]);
+    // Its certificate is not here, which is said after the settings.
+    let output = rosaline(&["serve", "--print-config", "--config", path.to_str().unwrap()], &[]);
+    assert!(String::from_utf8(output.stderr).unwrap().contains("/etc/rosaline/cert.pem cannot be read"));
+    let text = String::from_utf8(output.stdout).unwrap();
     let example = std::fs::read_to_string(&path).unwrap();
     let example = settings(&example);
     assert!(example.len() > 15, "{example:?}");

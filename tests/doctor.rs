@@ -228,6 +228,12 @@ async fn tokens_certificates_and_targets_that_do_not_fit_are_told() {
     let (well, said) = asked(doctor(data.path()).args(issuer).arg("http://127.0.0.1:1/keys").args(open));
     assert!(well && said.contains("tokens of https://id.example are let in"), "{said}");
     assert!(!said.contains("no key was made") && !said.contains("--insecure"), "{said}");
+    let discovered = |issuer| ["--jwt-issuer", issuer, "--jwt-audience", "rosaline"];
+    wrong(
+        doctor(data.path()).args(discovered("http://127.0.0.1:1")),
+        "no token of http://127.0.0.1:1 is let in",
+    );
+    wrong(doctor(data.path()).args(discovered("ward")), "say it with --jwks");
     let none = file("none.pem", "");
     wrong(doctor(data.path()).args(["--tls-cert", &none, "--tls-key", &none]), "holds no certificate");
     let expiring = |days: i64| {

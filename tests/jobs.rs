@@ -29,7 +29,7 @@ async fn service(workers: usize) -> (Arc<JobService>, Arc<Script>, TempDir) {
 async fn read(service: &JobService, id: JobId, format: OutputFormat) -> Vec<u8> {
     let artifact = service.result(id, format).await.unwrap();
     let reader = service.open_result(&artifact, None).await.unwrap();
-    let bytes = reader.stream.try_collect::<Vec<Bytes>>().await.unwrap().concat();
+    let bytes = reader.try_collect::<Vec<Bytes>>().await.unwrap().concat();
     let sha256: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
     assert_eq!((artifact.size, artifact.sha256), (bytes.len() as u64, sha256));
     bytes
@@ -48,7 +48,7 @@ async fn a_job_runs_and_gives_every_format() {
     }
     let artifact = service.result(job.id, OutputFormat::Json).await.unwrap();
     let part = service.open_result(&artifact, Some(3..5)).await.unwrap();
-    assert_eq!(part.stream.try_collect::<Vec<Bytes>>().await.unwrap().concat(), b"as");
+    assert_eq!(part.try_collect::<Vec<Bytes>>().await.unwrap().concat(), b"as");
     service.shutdown(Duration::from_secs(5)).await;
 }
 

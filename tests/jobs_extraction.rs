@@ -28,7 +28,7 @@ async fn submit(service: &JobService, bytes: &[u8], spec: JobSpec) -> Job {
 async fn read(service: &JobService, id: JobId, format: OutputFormat) -> Vec<u8> {
     let artifact = service.result(id, format).await.unwrap();
     let reader = service.open_result(&artifact, None).await.unwrap();
-    reader.stream.try_collect::<Vec<Bytes>>().await.unwrap().concat()
+    reader.try_collect::<Vec<Bytes>>().await.unwrap().concat()
 }
 
 fn stl(kind: Kind) -> Vec<u8> {

@@ -75,7 +75,7 @@ fn kill_after(mut child: Child, accepted: usize, moment: Duration) -> HashMap<Jo
 async fn read(service: &JobService, id: JobId, format: OutputFormat) -> Vec<u8> {
     let artifact = service.result(id, format).await.unwrap();
     let reader = service.open_result(&artifact, None).await.unwrap();
-    reader.stream.try_collect::<Vec<Bytes>>().await.unwrap().concat()
+    reader.try_collect::<Vec<Bytes>>().await.unwrap().concat()
 }
 
 #[tokio::test(flavor = "multi_thread")]

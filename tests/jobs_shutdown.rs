@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use futures::{FutureExt, StreamExt, stream};
 use jobs_fakes::{Script, ended, files, running, settings, submit, until};
-use rosaline::jobs::blob::{BlobBody, BlobError, BlobFuture, BlobInfo, BlobReader, BlobStore};
+use rosaline::jobs::blob::{BlobBody, BlobError, BlobFuture, BlobInfo, BlobStore};
 use rosaline::jobs::{FolderError, JobError, JobService, JobStatus, Storage, SystemClock};
 
 async fn open(data: &Path, workers: usize, script: &Arc<Script>) -> Arc<JobService> {
@@ -104,8 +104,13 @@ impl BlobStore for Disk {
         self.inner.put(key, body, limit)
     }
 
-    fn open<'a>(&'a self, key: &'a str, range: Option<Range<u64>>) -> BlobFuture<'a, BlobReader> {
-        self.inner.open(key, range)
+    fn open<'a>(
+        &'a self,
+        key: &'a str,
+        of: &'a BlobInfo,
+        range: Option<Range<u64>>,
+    ) -> BlobFuture<'a, BlobBody<'static>> {
+        self.inner.open(key, of, range)
     }
 
     fn info<'a>(&'a self, key: &'a str) -> BlobFuture<'a, BlobInfo> {

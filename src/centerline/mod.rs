@@ -37,6 +37,7 @@ pub use parameters::{
     FARTHEST, POINTS, ParameterError, ParameterKind, ParameterSpec, Parameters, PointsSpec, Preset, TABLE,
 };
 pub use quality::{Centeredness, Homotopy, Quality};
+pub use tips::picks::check_reach;
 
 use crate::mesh::TriangleMesh;
 use crate::mesh::preparation::{

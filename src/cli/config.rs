@@ -128,10 +128,24 @@ impl Config {
         arguments
     }
 
-    /// Where in the file stands what clap refuses, if that is where it comes from.
-    pub(super) fn place_of(&self, error: &clap::Error) -> Option<String> {
+    /// Where that comes from which clap refuses, where it is no flag among the arguments: a variable, or a line of the file.
+    pub(super) fn place_of(
+        &self,
+        error: &clap::Error,
+        command: &Command,
+        arguments: &[OsString],
+    ) -> Option<String> {
         let Some(ContextValue::String(named)) = error.get(ContextKind::InvalidArg) else { return None };
-        let named = named.split(' ').next()?.strip_prefix("--")?;
+        let named = named.split([' ', '=']).next()?.strip_prefix("--")?;
+        if flags(arguments).iter().any(|argument| is_of(argument, named)) {
+            return None;
+        }
+        let subcommand = command.find_subcommand(arguments.get(1)?);
+        let arg = subcommand.and_then(|each| each.get_arguments().find(|arg| arg.get_long() == Some(named)));
+        let variable = arg.and_then(Arg::get_env).filter(|name| std::env::var_os(name).is_some());
+        if let Some(variable) = variable {
+            return Some(format!("the variable {}", variable.display()));
+        }
         let setting = self.settings.iter().find(|setting| setting.key == named)?;
         Some(format!("{}, line {}", self.path.display(), setting.line))
     }

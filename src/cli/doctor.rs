@@ -5,15 +5,19 @@ use std::io::Write;
 use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Duration;
 
 use super::Failure;
 use super::serve::{self, settings};
 use crate::http::Tls;
-use crate::http::access::{Issuer, KeyError, KeyFile};
+use crate::http::access::{Discovery, Issuer, KeyError, KeyFile};
 use crate::jobs::checkup::{self, Finding};
 use crate::jobs::isolation::program;
 use crate::jobs::{Clock, SystemClock};
 use crate::outbound::webhooks::TargetFile;
+
+/// How long an issuer may take to answer.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Prints a line a finding, for the settings of `rosaline serve`; a running service is not disturbed.
 ///
@@ -32,7 +36,7 @@ pub fn run(args: serve::Args) -> Result<(), Failure> {
     let has_owners = runtime.block_on(checkup::has_owners(&args.data)).unwrap_or(false);
     let (has_keys, keys) = keys_of(&args, has_owners);
     found.extend(keys);
-    found.extend(issuer(&args));
+    found.extend(runtime.block_on(issuer(&args)));
     found.extend(certificate(&args));
     found.extend(targets(&args));
     found.extend(address(&args, has_keys || args.jwt_issuer.is_some(), in_use));
@@ -132,11 +136,11 @@ fn without_keys(args: &serve::Args, path: &Path, has_owners: bool) -> Option<Fin
     Some(Finding::Note("no key was made: whoever reaches the address may do everything".to_owned()))
 }
 
-/// Whether the issuer's keys can be read; a URL is not asked.
-fn issuer(args: &serve::Args) -> Option<Finding> {
-    let (issuer, audience, keys) =
-        (args.jwt_issuer.as_ref()?, args.jwt_audience.as_ref()?, args.jwks.as_ref()?);
-    Some(match Issuer::open(issuer, audience, keys.clone()) {
+/// Whether the issuer's keys can be read; a URL that was given is not asked, an issuer that is to say it is.
+async fn issuer(args: &serve::Args) -> Option<Finding> {
+    let (issuer, audience) = (args.jwt_issuer.as_ref()?, args.jwt_audience.as_ref()?);
+    let Some(keys) = &args.jwks else { return Some(discovered(issuer).await) };
+    Some(match Issuer::open(issuer, audience, Some(keys.clone())) {
         Ok(_) if keys.is_in_the_clear() => Finding::Note(
             "the issuer's keys come in the clear: whoever is in between can make tokens; use https"
                 .to_owned(),
@@ -144,6 +148,21 @@ fn issuer(args: &serve::Args) -> Option<Finding> {
         Ok(_) => Finding::Well(format!("tokens of {issuer} are let in")),
         Err(error) => Finding::wrong(error.to_string(), "the service does not start: see to --jwks"),
     })
+}
+
+/// What an issuer says that is asked for its keys.
+async fn discovered(issuer: &str) -> Finding {
+    let discovery = match Discovery::of(issuer, PATIENCE) {
+        Ok(discovery) => discovery,
+        Err(error) => return Finding::wrong(error.to_string(), "the service does not start"),
+    };
+    match discovery.keys().await {
+        Ok(keys) => Finding::Well(format!("tokens of {issuer} are let in, by its keys at {keys}")),
+        Err(error) => Finding::wrong(
+            format!("no token of {issuer} is let in: {error}"),
+            "a running service tries again by itself",
+        ),
+    }
 }
 
 /// Whether the certificate and its key can be used.

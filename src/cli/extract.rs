@@ -8,10 +8,13 @@ use serde_json::json;
 use sha2::{Digest, Sha256};
 
 use crate::centerline::{self, CancelToken, Control, Extraction, Parameters};
+use crate::http;
+use crate::jobs::{BadName, FileName};
 use crate::mesh::format::{self, Hint, Limits};
 use crate::mesh::{TriangleMesh, Units};
 use crate::output::{self, OutputFormat, ResultDocument, Source};
 
+use super::numbers::whole;
 use super::parameters::ParameterArgs;
 use super::progress::{self, Watch};
 use super::{Failure, files};
@@ -23,11 +26,14 @@ pub struct Args {
     /// Where the centerline goes; .json, .glb or .gltf says in which format.
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
+    /// Name that the result has as its source, without its folders [default: none, as a file's name may tell of a patient].
+    #[arg(long, value_parser = name)]
+    name: Option<String>,
     /// Unit of the mesh's coordinates, and so of the result's: mm, cm, m, um or in.
     #[arg(long, default_value = "mm")]
     units: Units,
     /// Threads to compute on; 0 takes every core. The result does not depend on it.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, value_parser = whole::<usize>)]
     threads: usize,
     /// Print the time of each stage, and what was found, to stderr.
     #[arg(short, long)]
@@ -65,8 +71,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let (extraction, stages) = extract(&mesh, &parameters, &pool)?;
 
     let start = Instant::now();
-    let name = args.mesh.file_name().map(|name| name.to_string_lossy());
-    let source = Source { name: name.as_deref(), format: format.name(), sha256: &sha256, units: args.units };
+    let source = Source {
+        name: args.name.as_deref().filter(|name| !name.is_empty()),
+        format: format.name(),
+        sha256: &sha256,
+        units: args.units,
+    };
     let document = ResultDocument::new(&extraction, &source, &parameters);
     files::write(&args.output, &output::write(&document, output_format)?)?;
     let mut timings = vec![("reading", reading)];
@@ -74,6 +84,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
     timings.push(("writing", start.elapsed()));
     tell(&document, args.verbose.then_some((args.timings, &timings[..])));
     Ok(())
+}
+
+/// As the service takes its parameter `name`; empty where there are only folders.
+fn name(text: &str) -> Result<String, BadName> {
+    let name = FileName::of(text, http::Limits::default().name_chars)?;
+    Ok(name.map(|name| name.expose().to_owned()).unwrap_or_default())
 }
 
 fn output_format(path: &Path) -> Result<OutputFormat, Failure> {

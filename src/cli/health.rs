@@ -51,5 +51,14 @@ async fn ask(args: Args) -> Result<(), Failure> {
     if status == reqwest::StatusCode::OK {
         return Ok(());
     }
+    // What a port that speaks TLS says to plain HTTP; no answer of the service's own is a text.
+    let kind = answer.headers().get(reqwest::header::CONTENT_TYPE);
+    let is_text = kind.is_some_and(|kind| kind.as_bytes().starts_with(b"text/plain"));
+    if scheme == "http" && status == reqwest::StatusCode::BAD_REQUEST && is_text {
+        return Err(Failure::new(format!(
+            "the service on {address} speaks TLS, and was asked without; give its certificate with --tls-cert \
+             (ROSALINE_TLS_CERT), or its configuration file with --config"
+        )));
+    }
     Err(Failure::new(format!("the service on {address} is not {state}: it answered '{status}'")))
 }

@@ -7,6 +7,7 @@ mod extract;
 mod files;
 mod health;
 mod keys;
+mod numbers;
 mod openapi;
 mod parameters;
 mod phantom;
@@ -112,10 +113,11 @@ fn asked(arguments: Vec<OsString>) -> Result<(), Failure> {
         Ok((Cli { command: Command::Serve(service) }, matches)) if service.print_config => {
             let matches = matches.subcommand().map_or(&matches, |(_, matches)| matches);
             std::io::stdout().write_all(config.in_force(&command, &arguments, matches).as_bytes())?;
-            Ok(())
+            // What a service would not start with is to be known before.
+            serve::check(&service.args)
         }
         Ok((cli, _)) => run(cli),
-        Err(error) => misused(&error, config.place_of(&error)).map_or(Ok(()), Err),
+        Err(error) => misused(&error, config.place_of(&error, &command, &arguments)).map_or(Ok(()), Err),
     }
 }
 
@@ -135,9 +137,12 @@ fn run(cli: Cli) -> Result<(), Failure> {
 }
 
 /// What is wrong with the arguments, without clap's usage and hints for people; help and version, which are
-/// no failures to clap's callers, are printed. `place`: where in a configuration file it stands.
+/// no failures to clap's callers, are printed. `place`: the variable or the line of a configuration file that it comes from.
 fn misused(error: &clap::Error, place: Option<String>) -> Option<Failure> {
-    use clap::error::ErrorKind::{DisplayHelp, DisplayHelpOnMissingArgumentOrSubcommand, DisplayVersion};
+    use clap::error::ErrorKind::{
+        DisplayHelp, DisplayHelpOnMissingArgumentOrSubcommand, DisplayVersion, TooManyValues,
+    };
+    use clap::error::{ContextKind, ContextValue};
     match error.kind() {
         DisplayHelp | DisplayVersion => {
             // A closed stdout leaves nobody to tell.
@@ -146,6 +151,13 @@ fn misused(error: &clap::Error, place: Option<String>) -> Option<Failure> {
         }
         DisplayHelpOnMissingArgumentOrSubcommand => {
             Some(Failure::new("a subcommand is missing; rosaline --help lists them"))
+        }
+        TooManyValues => {
+            let flag = match error.get(ContextKind::InvalidArg) {
+                Some(ContextValue::String(flag)) => flag,
+                _ => "this flag",
+            };
+            Some(Failure::new(format!("{flag} takes no value; give it alone, or leave it out")))
         }
         _ => {
             let text = error.to_string();

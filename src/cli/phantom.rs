@@ -11,6 +11,7 @@ use crate::mesh::format::write_stl_binary;
 use crate::output::{MethodRecord, ParameterValue, ResultDocument, Source, write_json};
 use crate::phantom::{Kind, Settings, generate};
 
+use super::numbers::{real, whole};
 use super::{Failure, files};
 
 /// A coarse phantom's voxel, in the voxels of its kind.
@@ -23,13 +24,13 @@ pub struct Args {
     #[arg(value_parser = parse_kind)]
     kind: Kind,
     /// The same seed gives the same curves.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = whole::<u64>)]
     seed: u64,
     /// Where the files go, without their extension.
     #[arg(short, long, value_name = "PREFIX")]
     output: PathBuf,
     /// Deviation of the Gaussian noise on every vertex, in voxels.
-    #[arg(long, value_name = "VOXELS", num_args = 0..=1, require_equals = true, default_missing_value = "0.2", default_value_t = 0.0)]
+    #[arg(long, value_name = "VOXELS", num_args = 0..=1, require_equals = true, default_missing_value = "0.2", default_value_t = 0.0, value_parser = real)]
     noise: f64,
     /// The surface of the binary voxels.
     #[arg(long)]
@@ -41,7 +42,7 @@ pub struct Args {
     #[arg(long, conflicts_with = "voxel")]
     coarse: bool,
     /// Side of a voxel in mm [default: 0.4; mixed 0.5, bigtree 0.35].
-    #[arg(long)]
+    #[arg(long, value_parser = real)]
     voxel: Option<f64>,
 }
 

@@ -15,12 +15,14 @@ use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
 use super::Failure;
-use crate::http::access::{Gate, Issuer, KeyError, KeyRing};
+use crate::http::access::{Gate, Issuer, JwksSource, KeyError, KeyRing};
 use crate::http::audit::Trail;
 use crate::http::{self, App, Limits, Tls};
 use crate::jobs::checkup;
 use crate::jobs::isolation::{Isolated, JOB_MEMORY};
-use crate::jobs::{JobService, Retention, Settings, Spans, TooManyWorkers, log_panics_without_text};
+use crate::jobs::{
+    JobService, Retention, Settings, Spans, TooManyWorkers, keep_files_to_owner, log_panics_without_text,
+};
 use crate::mesh;
 use crate::outbound::webhooks::{self, Schedule, TargetFile};
 
@@ -39,7 +41,9 @@ const DISK_REST: Duration = Duration::from_secs(2);
 /// The address is taken, the data folder cannot be used, or the threads cannot be started.
 pub fn run(args: Args) -> Result<(), Failure> {
     start_log(args.log_format)?;
+    check(&args)?;
     log_panics_without_text();
+    keep_files_to_owner();
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .max_blocking_threads(DISK_THREADS)
@@ -48,6 +52,36 @@ pub fn run(args: Args) -> Result<(), Failure> {
     // Outside the runtime, which it would block when it is dropped.
     let exporter = Exporter::start(args.otlp.as_deref())?;
     runtime.block_on(serve(args, exporter.spans()))
+}
+
+/// Whether a service could start with these settings, as far as that is known without doing anything.
+///
+/// # Errors
+/// What is wrong, with the first such setting.
+pub fn check(args: &Args) -> Result<(), Failure> {
+    let is_address = |(host, port): (&str, &str)| !host.is_empty() && port.parse::<u16>().is_ok();
+    if !args.listen.rsplit_once(':').is_some_and(is_address) {
+        return Err(Failure::new(format!(
+            "cannot listen on '{}', which is no HOST:PORT; give --listen one, 127.0.0.1:8080 for example",
+            args.listen
+        )));
+    }
+    settings(args)?;
+    if let (Some(cert), Some(key)) = (&args.tls_cert, &args.tls_key) {
+        Tls::open(cert, key)?;
+    }
+    if let Some(named) = &args.keys {
+        KeyRing::open_named(named)?;
+    }
+    issuer(args)?;
+    if let Some(named) = &args.webhooks {
+        let targets = TargetFile::new(named);
+        if !named.exists() {
+            return Err(targets.missing().into());
+        }
+        targets.list()?;
+    }
+    Ok(())
 }
 
 async fn serve(args: Args, spans: Spans) -> Result<(), Failure> {
@@ -125,22 +159,22 @@ async fn gate(args: &Args) -> Result<Gate, Failure> {
         Some(named) => KeyRing::open_named(named)?,
         None => KeyRing::open(args.data.join("keys.json"))?,
     };
-    let issuer = match (&args.jwt_issuer, &args.jwt_audience, &args.jwks) {
-        (Some(issuer), Some(audience), Some(jwks)) => {
-            if jwks.is_in_the_clear() {
-                tracing::warn!(
-                    "the issuer's keys come in the clear: whoever is in between can make tokens; use https"
-                );
-            }
-            Some(Issuer::open(issuer, audience, jwks.clone())?)
-        }
-        _ => None,
-    };
+    let issuer = issuer(args)?;
+    if args.jwks.as_ref().is_some_and(JwksSource::is_in_the_clear) {
+        tracing::warn!(
+            "the issuer's keys come in the clear: whoever is in between can make tokens; use https"
+        );
+    }
     let gate = Gate::new(keys, issuer);
     if !gate.is_closed() && !args.insecure && has_owners(args).await? {
         return Err(KeyError::Lost { path: args.data.join("keys.json").display().to_string() }.into());
     }
     Ok(gate)
+}
+
+fn issuer(args: &Args) -> Result<Option<Issuer>, Failure> {
+    let (Some(issuer), Some(audience)) = (&args.jwt_issuer, &args.jwt_audience) else { return Ok(None) };
+    Ok(Some(Issuer::open(issuer, audience, args.jwks.clone())?))
 }
 
 async fn has_owners(args: &Args) -> Result<bool, Failure> {

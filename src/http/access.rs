@@ -1,6 +1,7 @@
 //! Who asks, and whether they may: API keys and tokens, their scopes, and whose job is whose.
 
 mod broken;
+mod discovery;
 mod gate;
 mod jwks;
 mod jwt;
@@ -24,6 +25,8 @@ use super::problem::{FORBIDDEN, INTERNAL_ERROR, KEYS_UNAVAILABLE, Problem, UNAUT
 use super::trace::job_in_path;
 use crate::jobs::JobId;
 
+pub use discovery::{Discovery, DiscoveryError};
+pub(super) use gate::IssuerKeys;
 use gate::Unknown;
 pub use gate::{Gate, GateError};
 pub use jwks::{JwksError, JwksSource};

@@ -5,22 +5,22 @@ use axum::http::{HeaderMap, header};
 use crate::jobs::Coding;
 
 /// The codings that the client accepts, those that it likes most first, of equals the smaller one; the result as
-/// it is comes last and is always there.
+/// it is comes last, and is there unless the client rules it out.
 pub fn accepted(headers: &HeaderMap) -> Vec<Coding> {
     let lists = headers.get_all(header::ACCEPT_ENCODING).iter();
     let members: Vec<(String, u16)> =
         lists.flat_map(|list| list.to_str().unwrap_or_default().split(',')).filter_map(member).collect();
-    let quality = |coding: Coding| {
-        let named = members.iter().find(|(name, _)| name == coding.name());
-        named.or_else(|| members.iter().find(|(name, _)| name == "*")).map_or(0, |(_, quality)| *quality)
-    };
+    let named = |name: &str| members.iter().find(|(member, _)| member == name).map(|(_, quality)| *quality);
+    let others = named("*");
+    let quality = |coding: Coding| named(coding.name()).or(others).unwrap_or(0);
     // Where the client says nothing of it, the result as it is costs it nothing but bytes.
-    let plain =
-        members.iter().find(|(name, _)| name == Coding::Identity.name()).map_or(1, |(_, quality)| *quality);
+    let plain = named(Coding::Identity.name()).unwrap_or(if others == Some(0) { 0 } else { 1 });
     let mut codings = vec![Coding::Zstd, Coding::Gzip];
     codings.retain(|coding| quality(*coding) > 0 && quality(*coding) >= plain);
     codings.sort_by_key(|coding| std::cmp::Reverse(quality(*coding)));
-    codings.push(Coding::Identity);
+    if plain > 0 {
+        codings.push(Coding::Identity);
+    }
     codings
 }
 
@@ -59,5 +59,16 @@ mod tests {
         assert_eq!(read("identity, gzip;q=0.5"), [Identity]);
         assert_eq!(read("gzip;q=0, br"), [Identity]);
         assert_eq!(read("gzip;q=7, "), [Identity]);
+        assert_eq!(read("*;q=0, identity;q=0.1"), [Identity]);
+    }
+
+    #[test]
+    fn the_result_as_it_is_can_be_ruled_out() {
+        assert_eq!(read("identity;q=0"), []);
+        assert_eq!(read("*;q=0"), []);
+        assert_eq!(read("identity;q=0, br"), []);
+        assert_eq!(read("gzip, *;q=0"), [Gzip]);
+        assert_eq!(read("gzip;q=0.1, identity;q=0.0"), [Gzip]);
+        assert_eq!(read("identity;q=0, *"), [Zstd, Gzip]);
     }
 }

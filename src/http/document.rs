@@ -20,9 +20,8 @@ pub use parameters::{
     LastEventHeader, ListParameters, OriginHeaders, PreferHeader, SubmitQuery, WebhookPath,
 };
 pub use problems::{
-    DeadProblems, DeleteProblems, JobProblems, LimitsProblems, ListProblems, MetricsProblems,
-    NegotiatedProblems, PlainProblems, ReadyProblems, ResendProblems, ResultProblems, RetryProblems,
-    SubmitProblems,
+    DeadProblems, DeleteProblems, JobProblems, LimitsProblems, ListProblems, MetricsProblems, PlainProblems,
+    ReadyProblems, ResendProblems, ResultProblems, RetryProblems, SubmitProblems,
 };
 pub use responses::{
     AnyResult, Created, Dead, Deleted, Document, Events, GlbResult, GltfResult, Healthy, JsonResult,

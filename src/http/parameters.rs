@@ -185,17 +185,12 @@ fn point_texts(value: Value, is_list: bool) -> Option<Vec<String>> {
     }
 }
 
-/// Without folders: a browser's file name may carry the path of a client's machine. `None`: only folders.
+/// As [`FileName::of`] takes it.
 ///
 /// # Errors
 /// A 400 when it is empty, too long, or holds control characters.
 pub fn source_name(name: &str, limits: &Limits) -> Result<Option<FileName>, Problem> {
-    if name.is_empty() || name.chars().count() > limits.name_chars || name.chars().any(char::is_control) {
-        let expected = format!("a name has 1 to {} characters and no control characters", limits.name_chars);
-        return Err(invalid(NAME, expected));
-    }
-    let last = name.rsplit(['/', '\\']).next().unwrap_or_default().trim();
-    Ok(if last.is_empty() { None } else { Some(FileName::new(last)) })
+    FileName::of(name, limits.name_chars).map_err(|error| invalid(NAME, error.to_string()))
 }
 
 fn reference(text: &str, limits: &Limits) -> Result<String, Problem> {

@@ -10,9 +10,10 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 use super::inspection::Inspection;
 use super::limits::Limits;
 use super::problem::{
-    EMPTY, INDEX_OUT_OF_RANGE, INTERNAL_ERROR, Kind, MALFORMED, MESH_TOO_LARGE, NO_POLYGONS,
-    NON_FINITE_COORDINATE, Problem, TRUNCATED, UNSUPPORTED_FEATURE, UNSUPPORTED_FORMAT,
+    EMPTY, INDEX_OUT_OF_RANGE, INTERNAL_ERROR, INVALID_PARAMETER, Kind, MALFORMED, MESH_TOO_LARGE,
+    NO_POLYGONS, NON_FINITE_COORDINATE, Problem, TRUNCATED, UNSUPPORTED_FEATURE, UNSUPPORTED_FORMAT,
 };
+use crate::centerline::{ExtractError, Parameters, check_reach};
 use crate::jobs::FormatHint;
 use crate::mesh::TriangleMesh;
 use crate::mesh::format::{self, Format, Hint, ReadError};
@@ -44,21 +45,29 @@ impl Validator {
             .map_err(|_| Problem::new(&INTERNAL_ERROR, "the service is stopping; try again later"))
     }
 
-    /// The mesh's format, if it can be read.
-    pub(super) async fn check(&self, turn: Turn, bytes: Bytes, hint: FormatHint) -> Result<Format, Problem> {
-        self.read(turn, bytes, hint, |_, format| format).await
+    /// The mesh's format, if it can be read and the points of `parameters` are near it.
+    pub(super) async fn check(
+        &self,
+        turn: Turn,
+        bytes: Bytes,
+        hint: FormatHint,
+        parameters: Parameters,
+    ) -> Result<Format, Problem> {
+        self.read(turn, bytes, hint, parameters, |_, format| format).await
     }
 
-    /// The mesh as a job would find it, if it can be read.
+    /// The mesh as a job would find it, under the same conditions.
     pub(super) async fn inspect(
         &self,
         turn: Turn,
         bytes: Bytes,
         hint: FormatHint,
+        parameters: Parameters,
         sha256: String,
     ) -> Result<Inspection, Problem> {
         let size = bytes.len() as u64;
-        self.read(turn, bytes, hint, move |mesh, format| Inspection::new(&mesh, format, &sha256, size)).await
+        let then = move |mesh: TriangleMesh, format| Inspection::new(&mesh, format, &sha256, size);
+        self.read(turn, bytes, hint, parameters, then).await
     }
 
     /// Reads the mesh on a thread of the pool and goes on with `then` there.
@@ -67,6 +76,7 @@ impl Validator {
         turn: Turn,
         bytes: Bytes,
         hint: FormatHint,
+        parameters: Parameters,
         then: impl FnOnce(TriangleMesh, Format) -> T + Send + 'static,
     ) -> Result<T, Problem> {
         let (answer, outcome) = oneshot::channel();
@@ -77,20 +87,30 @@ impl Validator {
                     Hint { extension: hint.extension.as_deref(), content_type: hint.content_type.as_deref() };
                 let (mesh, format) = format::read(&bytes, hint, &limits)?;
                 drop(bytes);
-                Ok(then(mesh, format))
+                Ok(check_reach(&mesh, &parameters).map(|()| then(mesh, format)))
             };
-            let outcome: Result<Result<T, ReadError>, _> = catch_unwind(AssertUnwindSafe(read));
+            let outcome: Result<Result<Result<T, ExtractError>, ReadError>, _> =
+                catch_unwind(AssertUnwindSafe(read));
             drop(turn.0);
             // Nobody listens any more when the client has left.
             let _ = answer.send(outcome);
         });
         match outcome.await {
-            Ok(Ok(Ok(found))) => Ok(found),
+            Ok(Ok(Ok(found))) => found.map_err(|error| far_off(&error)),
             Ok(Ok(Err(error))) => Err(refusal(&error)),
             Ok(Err(_)) | Err(_) => {
                 Err(Problem::new(&INTERNAL_ERROR, "the mesh's reader stopped on an internal error"))
             }
         }
+    }
+}
+
+/// A point that a job would fail for.
+fn far_off(error: &ExtractError) -> Problem {
+    let problem = Problem::new(&INVALID_PARAMETER, error.to_string());
+    match error {
+        ExtractError::OffSurface { name, .. } => problem.with("parameter", *name),
+        _ => problem,
     }
 }
 
@@ -141,7 +161,8 @@ mod tests {
         for _ in 0..3 {
             let turn = validator.turn().await.unwrap();
             let bytes = Bytes::from_static(b"\x89PNG\r\n\x1a\n....");
-            let problem = validator.check(turn, bytes, FormatHint::default()).await.unwrap_err();
+            let problem =
+                validator.check(turn, bytes, FormatHint::default(), Parameters::default()).await.unwrap_err();
             assert_eq!(problem.status(), 415);
         }
     }

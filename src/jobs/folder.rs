@@ -142,6 +142,12 @@ fn incompressible(length: usize) -> Vec<u8> {
     (0..length).map(next).collect()
 }
 
+/// From now on whatever this process and its children make is for their user alone, whatever that user's umask is: meshes
+/// and results may be patient data.
+pub fn keep_files_to_owner() {
+    rustix::process::umask(rustix::fs::Mode::RWXG | rustix::fs::Mode::RWXO);
+}
+
 /// Takes a file away from all but its owner; one that is not there is made where `made`.
 fn private(path: &Path, made: bool) -> io::Result<()> {
     let mut options = OpenOptions::new();

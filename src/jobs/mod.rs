@@ -43,6 +43,7 @@ mod service;
 mod settings;
 mod slots;
 mod spans;
+mod stamp;
 mod storage;
 pub mod store;
 mod timeline;
@@ -54,13 +55,13 @@ pub use clock::{Clock, Doubt, ManualClock, SystemClock};
 pub use coding::Coding;
 pub use error::{JobError, Unready};
 pub use failure::JobFailure;
-pub use folder::{DataFolder, FolderError};
+pub use folder::{DataFolder, FolderError, keep_files_to_owner};
 pub use id::{IdSource, JobId, ParseJobIdError};
 pub use live::JobStage;
 pub use meter::{Histogram, StageTimes};
 pub use model::{
-    Counts, FileName, FormatHint, Idempotency, Job, JobSpec, JobStatus, Lease, Load, Origin, StoredArtifact,
-    StoredInput, UnknownStatus,
+    BadName, Counts, FileName, FormatHint, Idempotency, Job, JobSpec, JobStatus, Lease, Load, Origin,
+    StoredArtifact, StoredInput, UnknownStatus,
 };
 pub use outbox::{Delivery, DeliveryCounts, LONGEST_WAIT, Listener, Outbox, Told};
 pub use panics::log_panics_without_text;

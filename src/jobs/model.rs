@@ -73,7 +73,24 @@ impl FromStr for JobStatus {
 #[derive(Clone, PartialEq, Eq)]
 pub struct FileName(String);
 
+/// A name that cannot be one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("a name has 1 to {0} characters and no control characters")]
+pub struct BadName(usize);
+
 impl FileName {
+    /// The last part of a path: a browser's file name may carry folders of a client's machine. `None`: only folders.
+    ///
+    /// # Errors
+    /// [`BadName`] where it is empty, longer than `most` characters, or holds control characters.
+    pub fn of(path: &str, most: usize) -> Result<Option<Self>, BadName> {
+        if path.is_empty() || path.chars().count() > most || path.chars().any(char::is_control) {
+            return Err(BadName(most));
+        }
+        let last = path.rsplit(['/', '\\']).next().unwrap_or_default().trim();
+        Ok(if last.is_empty() { None } else { Some(Self::new(last)) })
+    }
+
     pub fn new(name: impl Into<String>) -> Self {
         Self(name.into())
     }

@@ -4,9 +4,9 @@
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::Path;
-use std::time::SystemTime;
 
 use super::faults::{Operation, between};
+use super::stamp;
 
 /// Waits until nobody else changes the file at `path`; held until it is dropped: of two changes none is lost.
 ///
@@ -80,17 +80,12 @@ fn private() -> OpenOptions {
     options
 }
 
-/// Tells one state of a file from the next; `None`: it is not there.
-pub type Stamp = Option<(SystemTime, u64, u64)>;
+/// What tells one state of a file from the next, a change of the right to read it among them; `None`: it is not there.
+pub type Stamp = Option<stamp::Stamp>;
 
-/// When the file was written, its length, and which file it is: one that is replaced whole is another one.
+/// The file's stamp now. One that is replaced whole is another file.
 pub fn stamp(path: &Path) -> Stamp {
-    let found = fs::metadata(path).ok()?;
-    #[cfg(unix)]
-    let file = std::os::unix::fs::MetadataExt::ino(&found);
-    #[cfg(not(unix))]
-    let file = 0;
-    Some((found.modified().ok()?, found.len(), file))
+    Some(stamp::Stamp::of(&fs::metadata(path).ok()?))
 }
 
 #[cfg(test)]

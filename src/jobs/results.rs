@@ -9,7 +9,7 @@ use futures::future::join_all;
 use super::backoff::Backoff;
 #[cfg(doc)]
 use super::blob::BlobError;
-use super::blob::BlobReader;
+use super::blob::{BlobBody, BlobInfo};
 use super::coding::LEAST;
 use super::live::Entry;
 use super::runner::Artifact;
@@ -219,12 +219,14 @@ impl JobService {
         if found.sha256 == artifact.sha256 { Ok(()) } else { Err(JobError::ResultChanged { key, size }) }
     }
 
-    /// The bytes of a result, or of a range within it; [`JobService::check_result`] says whether they are its own.
+    /// The bytes of a result, or of a range within it. Where the file has others they end in an error, never with the last
+    /// of them; [`JobService::check_result`] says before whether it has.
     pub async fn open_result(
         &self,
         artifact: &StoredArtifact,
         range: Option<Range<u64>>,
-    ) -> Result<BlobReader, JobError> {
-        Ok(self.shared.blobs.open(&artifact.key, range).await?)
+    ) -> Result<BlobBody<'static>, JobError> {
+        let of = BlobInfo { size: artifact.size, sha256: artifact.sha256.clone() };
+        Ok(self.shared.blobs.open(&artifact.key, &of, range).await?)
     }
 }

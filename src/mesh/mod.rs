@@ -7,7 +7,7 @@ mod edge_groups;
 mod flat_caps;
 pub mod format;
 mod matching;
-mod measures;
+pub mod measures;
 pub mod normals;
 mod numbering;
 mod openings;

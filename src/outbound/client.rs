@@ -104,6 +104,11 @@ pub struct Answer {
 pub struct Url(reqwest::Url);
 
 impl Url {
+    /// Whether what is sent there is encrypted.
+    pub fn is_https(&self) -> bool {
+        self.0.scheme() == "https"
+    }
+
     /// Whether what is sent there crosses a network in the clear.
     pub fn is_in_the_clear(&self) -> bool {
         let host = self.0.host_str().unwrap_or_default().trim_matches(['[', ']']);

@@ -24,7 +24,9 @@ mod admission;
 mod bombs;
 mod busy;
 mod changes;
+mod damage;
 mod deletion;
+mod discovery;
 mod dry_run;
 mod events;
 #[cfg(debug_assertions)]

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use serde_json::Value;
 
 use crate::meshes;
-use crate::service::{Service, problem, without_settings};
+use crate::service::{Service, command, problem, without_settings};
 use crate::small_disk::SmallDisk;
 
 /// What `rosaline` prints.
@@ -109,6 +109,47 @@ async fn keys_that_cannot_be_read_are_a_fault_of_the_service() {
     assert_eq!(list(&key).await.unwrap().status(), 200);
     problem(list(&revoked).await.unwrap(), 401, "unauthenticated").await;
     service.assert_alive().await;
+}
+
+/// Starts the service as a user whose right to read a file can be taken away; `None` where that cannot be tried.
+fn as_a_user(data: &Arc<tempfile::TempDir>) -> Option<Service> {
+    use std::os::unix::process::CommandExt;
+
+    const NOBODY: u32 = 65534;
+    let mut command = command(data.path());
+    let files = std::fs::read_dir(data.path()).unwrap().map(|entry| entry.unwrap().path());
+    let mut all = files.chain([data.path().to_owned()]);
+    if all.all(|path| std::os::unix::fs::chown(path, Some(NOBODY), Some(NOBODY)).is_ok()) {
+        let mut tried = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+        if tried.arg("--version").uid(NOBODY).gid(NOBODY).output().is_err() {
+            eprintln!("skipped: another user may not run the program");
+            return None;
+        }
+        command.uid(NOBODY).gid(NOBODY);
+    }
+    Some(Service::try_start(&mut command, data.clone()).unwrap())
+}
+
+/// The file's bytes and its time of change stay the same.
+#[tokio::test]
+async fn a_right_that_is_taken_away_counts_at_once_for_keys_and_readiness() {
+    let data = Arc::new(tempfile::tempdir().unwrap());
+    let key = told(data.path(), &["keys", "add", "pacs", "--scope", "submit,read"]);
+    let Some(service) = as_a_user(&data) else { return };
+    let file = data.path().join("keys.json");
+    let allow = |mode: u32| {
+        std::fs::set_permissions(&file, std::os::unix::fs::PermissionsExt::from_mode(mode)).unwrap();
+    };
+    let list = || service.get("/v1/jobs").bearer_auth(&key).send();
+    for _ in 0..3 {
+        assert_eq!(list().await.unwrap().status(), 200);
+        service.assert_alive().await;
+        allow(0o000);
+        problem(list().await.unwrap(), 503, "keys-unavailable").await;
+        unready(&service, "the file of the keys cannot be read").await;
+        allow(0o600);
+        service.assert_alive().await;
+    }
 }
 
 #[tokio::test]

@@ -199,6 +199,33 @@ async fn texts_come_compressed_where_that_is_asked_for() {
     }
 }
 
+/// RFC 9110, section 12.5.3.
+#[tokio::test]
+async fn the_result_as_it_is_can_be_ruled_out() {
+    let (service, result) = finished().await;
+    let asked = |path: &str, accept: &'static str| service.get(path).header("accept-encoding", accept).send();
+    for (accept, coding) in
+        [("identity;q=0, gzip", "gzip"), ("gzip;q=0.5, *;q=0", "gzip"), ("*, identity;q=0", "zstd")]
+    {
+        let response = asked(&result, accept).await.unwrap();
+        assert_eq!(
+            (response.status().as_u16(), &response.headers()["content-encoding"]),
+            (200, &coding.parse().unwrap())
+        );
+    }
+    for path in [result.clone(), format!("{result}.gltf")] {
+        for accept in ["identity;q=0", "*;q=0", "br, identity;q=0"] {
+            let response = asked(&path, accept).await.unwrap();
+            assert!(response.headers()["vary"].to_str().unwrap().contains("accept-encoding"));
+            problem(response, 406, "not-acceptable").await;
+        }
+    }
+    // It is not there compressed.
+    problem(asked(&format!("{result}.glb"), "identity;q=0, gzip").await.unwrap(), 406, "not-acceptable")
+        .await;
+    assert_eq!(asked(&result, "*;q=0, identity;q=0.1").await.unwrap().status(), 200);
+}
+
 #[tokio::test]
 async fn every_path_answers_options_and_what_can_be_got_answers_head() {
     let (service, result) = finished().await;

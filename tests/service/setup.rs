@@ -118,6 +118,16 @@ async fn nobody_else_reads_what_the_service_keeps() {
     for name in names.into_iter().chain(["audit.jsonl"]) {
         assert_eq!(mode(name), 0o600, "{name}");
     }
+    let job_folder = format!("blobs/{}", job.rsplit('/').next().unwrap());
+    let mut kept = vec!["lock".to_owned(), "reserve".to_owned(), format!("{job_folder}/input")];
+    let run = std::fs::read_dir(data.join(&job_folder)).unwrap().map(|entry| entry.unwrap().path());
+    let run = run.filter(|path| path.is_dir()).last().unwrap();
+    let results = std::fs::read_dir(&run).unwrap().map(|entry| entry.unwrap().path());
+    kept.extend(results.map(|path| path.strip_prefix(&data).unwrap().to_str().unwrap().to_owned()));
+    assert!(kept.len() >= 6, "{kept:?}");
+    for name in kept {
+        assert_eq!(mode(&name), 0o600, "{name}");
+    }
     // One of a version that left it open; killed, so that its log is there.
     drop(service);
     for name in names {

@@ -314,3 +314,21 @@ async fn an_address_that_others_reach_is_warned_of_without_tls() {
     logged(&service, "ready", 1).await;
     assert!(!service.log().contains("in the clear"), "{}", service.log());
 }
+
+#[tokio::test]
+async fn a_health_check_without_the_certificate_says_what_is_missing() {
+    let files = Files::new(&Pair::new());
+    let service = files.start(&[]);
+    let health = |more: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+        without_settings(&mut command);
+        command.args(["health", "--listen", service.address()]).args(more).output().unwrap()
+    };
+    assert!(health(&["--tls-cert", text(&files.cert)]).status.success());
+    for more in [&[][..], &["--alive"]] {
+        let output = health(more);
+        let line = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{line}");
+        assert!(line.contains("speaks TLS") && line.contains("--tls-cert"), "{line}");
+    }
+}

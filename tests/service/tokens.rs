@@ -29,7 +29,7 @@ async fn status(service: &Service, job: &str, token: &str) -> u16 {
     service.get(job).bearer_auth(token).send().await.unwrap().status().as_u16()
 }
 
-fn made_key(data: &Path, name: &str) -> String {
+pub fn made_key(data: &Path, name: &str) -> String {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
     without_settings(&mut command);
     command.env("ROSALINE_DATA", data);
@@ -321,6 +321,18 @@ async fn an_issuer_that_answers_otherwise_gives_no_keys_and_takes_none_away() {
     assert_eq!(keys.asked(), before + 1, "nothing elsewhere");
     assert!(service.log().contains("it answered 302"), "{}", service.log());
     assert_eq!(list(&service, &by_old).await.status(), 200);
+    for damaged in ["{", "{\"keys\": []}"] {
+        keys.put(StatusCode::OK, damaged.to_owned());
+        let before = keys.asked();
+        while keys.asked() == before {
+            assert!(begin.elapsed() < PATIENCE);
+            assert_eq!(list(&service, &by_new).await.status(), 401);
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+        assert_eq!(list(&service, &by_old).await.status(), 200, "{damaged}");
+    }
+    assert!(service.log().contains("the key set is damaged") && service.log().contains("has no public key"));
+    service.assert_alive().await;
 }
 
 #[test]

@@ -5,6 +5,8 @@ use std::f64::consts::TAU;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
+use crate::mesh::TriangleMesh;
+use crate::mesh::measures::bounds;
 use crate::mesh::preparation::Surface;
 
 use super::root::{Root, ends_of};
@@ -66,6 +68,29 @@ pub fn place(
         }
     }
     Ok(picks)
+}
+
+/// Whether every named point is within reach of the mesh's box, so far as that is seen without preparing the mesh: what
+/// lies off it is [`OFF`] from every vertex as well.
+///
+/// # Errors
+/// [`ExtractError::OffSurface`] for the first one that is not.
+pub fn check_reach(mesh: &TriangleMesh, parameters: &Parameters) -> Result<(), ExtractError> {
+    let mut points = parameters.points().peekable();
+    if mesh.triangles.is_empty() || points.peek().is_none() {
+        return Ok(());
+    }
+    let [low, high] = bounds(mesh);
+    let most = OFF * (high - low).norm();
+    for (spec, points) in points {
+        let is_off = |point: &Point3<f64>| (point.coords - point.coords.sup(&low).inf(&high)).norm() > most;
+        if let Some((index, point)) = points.iter().enumerate().find(|(_, point)| is_off(point)) {
+            let distances = mesh.vertices.iter().map(|vertex| (vertex - point).norm());
+            let distance = distances.fold(f64::INFINITY, f64::min);
+            return Err(ExtractError::OffSurface { name: spec.name, number: index + 1, distance, most });
+        }
+    }
+    Ok(())
 }
 
 /// Component, vertex and distance.

@@ -5,6 +5,9 @@ use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
 
+use clap::builder::NonEmptyStringValueParser;
+
+use super::super::numbers::positive;
 use crate::http::access::JwksSource;
 use crate::jobs::MAX_CRASHES;
 
@@ -23,7 +26,7 @@ pub struct Args {
     #[arg(long, env = "ROSALINE_CONFIG", value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Address to listen on; port 0 takes a free one.
-    #[arg(long, env = "ROSALINE_LISTEN", default_value = "127.0.0.1:8080", value_name = "HOST:PORT")]
+    #[arg(long, env = "ROSALINE_LISTEN", default_value = "127.0.0.1:8080", value_name = "HOST:PORT", value_parser = NonEmptyStringValueParser::new())]
     pub listen: String,
     /// Certificate of the service in PEM form, its chain after it; with it only TLS is spoken. Taken over again when
     /// it changes, as its key is.
@@ -37,36 +40,36 @@ pub struct Args {
     pub data: PathBuf,
     /// Jobs that run at once, each on its share of the threads; at most one a thread [default: a quarter of the
     /// threads, at least 2 where there are 2].
-    #[arg(long, env = "ROSALINE_WORKERS", value_name = "N")]
+    #[arg(long, env = "ROSALINE_WORKERS", value_name = "N", value_parser = positive::<NonZeroUsize>)]
     pub workers: Option<NonZeroUsize>,
     /// Threads that compute, over all workers [default: one a core, at least one a worker].
-    #[arg(long, env = "ROSALINE_THREADS", value_name = "N")]
+    #[arg(long, env = "ROSALINE_THREADS", value_name = "N", value_parser = positive::<NonZeroUsize>)]
     pub threads: Option<NonZeroUsize>,
     /// How often the process of a job's run may die, or the service while that job runs alone, before the job is failed
     /// instead of run again.
-    #[arg(long, env = "ROSALINE_MAX_CRASHES", default_value_t = MAX_CRASHES, value_name = "N")]
+    #[arg(long, env = "ROSALINE_MAX_CRASHES", default_value_t = MAX_CRASHES, value_name = "N", value_parser = positive::<NonZeroU32>)]
     pub max_crashes: NonZeroU32,
     /// Largest mesh, in bytes or with KiB, MiB or GiB.
     #[arg(long, env = "ROSALINE_MAX_UPLOAD", default_value = "1GiB", value_name = "SIZE")]
     pub max_upload: Size,
     /// Triangles of the largest mesh; it may have half as many vertices and one in a hundred more. They bound the memory of a check.
-    #[arg(long, env = "ROSALINE_MAX_TRIANGLES", default_value = "40000000", value_name = "N")]
+    #[arg(long, env = "ROSALINE_MAX_TRIANGLES", default_value = "40000000", value_name = "N", value_parser = positive::<NonZeroUsize>)]
     pub max_triangles: NonZeroUsize,
     /// Uploads that are read and checked at the same time; each takes its file's size and its mesh in memory.
-    #[arg(long, env = "ROSALINE_VALIDATIONS", default_value = "2", value_name = "N")]
+    #[arg(long, env = "ROSALINE_VALIDATIONS", default_value = "2", value_name = "N", value_parser = positive::<NonZeroUsize>)]
     pub validations: NonZeroUsize,
     /// File of the API keys, which `rosaline keys` makes [default: keys.json in the data folder]. Where there is one,
     /// every request needs a key.
     #[arg(long, env = "ROSALINE_KEYS", value_name = "FILE")]
     pub keys: Option<PathBuf>,
     /// Issuer of JWTs that are accepted beside keys, as their claim `iss` has it.
-    #[arg(long, env = "ROSALINE_JWT_ISSUER", value_name = "ISSUER", requires_all = ["jwt_audience", "jwks"])]
+    #[arg(long, env = "ROSALINE_JWT_ISSUER", value_name = "ISSUER", requires = "jwt_audience", value_parser = NonEmptyStringValueParser::new())]
     pub jwt_issuer: Option<String>,
     /// What the claim `aud` of a JWT must name.
-    #[arg(long, env = "ROSALINE_JWT_AUDIENCE", value_name = "AUDIENCE", requires = "jwt_issuer")]
+    #[arg(long, env = "ROSALINE_JWT_AUDIENCE", value_name = "AUDIENCE", requires = "jwt_issuer", value_parser = NonEmptyStringValueParser::new())]
     pub jwt_audience: Option<String>,
     /// The issuer's public keys (JWKS): a file, or an http or https URL, which is fetched again every 5 minutes and when
-    /// a token names an unknown key.
+    /// a token names an unknown key [default: where the issuer says, an https URL, by OpenID Connect Discovery].
     #[arg(long, env = "ROSALINE_JWKS", value_name = "FILE|URL", requires = "jwt_issuer")]
     pub jwks: Option<JwksSource>,
     /// Listen on an address that others can reach although no key is needed.
@@ -79,17 +82,17 @@ pub struct Args {
     #[arg(long, env = "ROSALINE_AUDIT_ROTATE", default_value = "64MiB", value_name = "SIZE")]
     pub audit_rotate: Size,
     /// Uploads that may come in at the same time.
-    #[arg(long, env = "ROSALINE_MAX_UPLOADS", default_value = "256", value_name = "N")]
+    #[arg(long, env = "ROSALINE_MAX_UPLOADS", default_value = "256", value_name = "N", value_parser = positive::<NonZeroUsize>)]
     pub max_uploads: NonZeroUsize,
     /// Uploads of one principal, or where no key is needed of one address (of IPv6 one /64), that may come in at the
     /// same time.
-    #[arg(long, env = "ROSALINE_MAX_UPLOADS_EACH", default_value = "64", value_name = "N")]
+    #[arg(long, env = "ROSALINE_MAX_UPLOADS_EACH", default_value = "64", value_name = "N", value_parser = positive::<NonZeroUsize>)]
     pub max_uploads_each: NonZeroUsize,
     /// Jobs that may wait.
-    #[arg(long, env = "ROSALINE_MAX_QUEUE", default_value = "100000", value_name = "N")]
+    #[arg(long, env = "ROSALINE_MAX_QUEUE", default_value = "100000", value_name = "N", value_parser = positive::<NonZeroU64>)]
     pub max_queue: NonZeroU64,
     /// Jobs of one principal that may wait or run.
-    #[arg(long, env = "ROSALINE_MAX_JOBS_EACH", default_value = "10000", value_name = "N")]
+    #[arg(long, env = "ROSALINE_MAX_JOBS_EACH", default_value = "10000", value_name = "N", value_parser = positive::<NonZeroU64>)]
     pub max_jobs_each: NonZeroU64,
     /// How long one run of a job may take.
     #[arg(long, env = "ROSALINE_MAX_RUN", default_value = "60m", value_name = "TIME")]
@@ -120,7 +123,7 @@ pub struct Args {
     #[arg(long, env = "ROSALINE_WEBHOOK_RETRY", default_value = "5s", value_name = "TIME")]
     pub webhook_retry: Span,
     /// Tries after which a webhook is given up.
-    #[arg(long, env = "ROSALINE_WEBHOOK_ATTEMPTS", default_value = "12", value_name = "N")]
+    #[arg(long, env = "ROSALINE_WEBHOOK_ATTEMPTS", default_value = "12", value_name = "N", value_parser = positive::<NonZeroU32>)]
     pub webhook_attempts: NonZeroU32,
     /// How long a target may take to answer a webhook.
     #[arg(long, env = "ROSALINE_WEBHOOK_TIMEOUT", default_value = "15s", value_name = "TIME")]

@@ -46,6 +46,17 @@ pub enum GateError {
     Issuer(#[from] JwksError),
 }
 
+/// Whether tokens can be checked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in super::super) enum IssuerKeys {
+    /// They can, or none are accepted.
+    Fine,
+    /// They cannot, and whoever has a key of the service's own is let in.
+    AbsentBesideKeys,
+    /// They cannot, and nobody is let in.
+    Absent,
+}
+
 impl Gate {
     pub fn new(keys: KeyRing, issuer: Option<Issuer>) -> Self {
         Self { keys, issuer }
@@ -63,6 +74,15 @@ impl Gate {
     pub(in super::super) fn check(&self) -> Result<(), GateError> {
         self.keys.check()?;
         Ok(self.issuer.as_ref().map_or(Ok(()), Issuer::check)?)
+    }
+
+    /// What of the issuer's keys is known where they are fetched.
+    pub(in super::super) fn issuer_keys(&self) -> IssuerKeys {
+        match &self.issuer {
+            Some(issuer) if !issuer.has_keys() && self.keys.has_keys() => IssuerKeys::AbsentBesideKeys,
+            Some(issuer) if !issuer.has_keys() => IssuerKeys::Absent,
+            _ => IssuerKeys::Fine,
+        }
     }
 
     /// Keeps the issuer's keys fresh until `closing`.

@@ -1,6 +1,6 @@
-//! The public keys of a token issuer (RFC 7517), from a file or a URL of the operator's.
+//! The public keys of a token issuer (RFC 7517), from a file or a URL of the operator's, or from where the issuer says.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant};
@@ -12,6 +12,7 @@ use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
 use super::broken::Broken;
+use super::discovery::{Discovery, DiscoveryError};
 use crate::jobs::operator_file::{self, Stamp, stamp};
 use crate::outbound::{Client, OutboundError, Url};
 
@@ -35,13 +36,15 @@ pub enum JwksError {
     Io { path: String, source: std::io::Error },
     #[error("the key set cannot be fetched: {0}")]
     Fetch(#[from] OutboundError),
+    #[error("the key set cannot be found: {0}")]
+    Discovery(#[from] DiscoveryError),
     #[error("the key set is damaged: {0}; it is a JSON object with a list 'keys' (RFC 7517, section 5)")]
     Damaged(String),
     #[error("the key set has no public key for signatures by RSA, ECDSA or EdDSA")]
     Empty,
 }
 
-/// Where the keys are.
+/// Where the keys are, where the operator says it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum JwksSource {
     File(PathBuf),
@@ -80,11 +83,28 @@ pub(super) struct Jwks {
 
 enum Place {
     File(PathBuf),
-    Url {
-        client: Client,
+    Away {
+        way: Way,
         /// When an unknown key last made the keys be fetched. Held meanwhile: those that come then wait for it.
         asked: Arc<Mutex<Option<Instant>>>,
     },
+}
+
+/// How to the keys that are not in a file.
+enum Way {
+    At(Client),
+    By(Discovery),
+}
+
+impl Way {
+    async fn keys(&self) -> Result<Vec<PublicKey>, JwksError> {
+        let text = match self {
+            Way::At(client) => client.get(MOST).await?,
+            // Each time, as they may have moved.
+            Way::By(discovery) => Client::new(discovery.keys().await?, PATIENCE)?.get(MOST).await?,
+        };
+        parse(&text)
+    }
 }
 
 #[derive(Default)]
@@ -96,27 +116,37 @@ struct State {
     broken: Option<Broken>,
 }
 
+impl State {
+    fn is_there(&self, source: &Place, now: Instant) -> bool {
+        match source {
+            Place::File(_) => self.broken.is_none(),
+            Place::Away { .. } => {
+                self.fetched.is_some_and(|fetched| now.saturating_duration_since(fetched) <= STALE)
+            }
+        }
+    }
+}
+
 /// There are no keys that a token could be checked with: the file cannot be used, or they were not fetched for too long.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct NoKeys;
 
 impl Jwks {
-    /// The keys of a file are read at once; those at a URL come with the first fetch of [`Jwks::follow`], so that a
-    /// service starts also while its issuer is away.
+    /// The keys of a file are read at once; others come with the first fetch of [`Jwks::follow`], so that a service starts
+    /// also while its issuer is away. Without a `source` the issuer of this name is asked where they are.
     ///
     /// # Errors
-    /// When the file cannot be used, or no client can be made.
-    pub(super) fn open(source: JwksSource) -> Result<Self, JwksError> {
+    /// When the file cannot be used, the issuer's name is no address to ask, or no client can be made.
+    pub(super) fn open(source: Option<JwksSource>, issuer: &str) -> Result<Self, JwksError> {
+        let away = |way| (Place::Away { way, asked: Arc::default() }, State::default());
         let (source, state) = match source {
-            JwksSource::File(path) => {
+            Some(JwksSource::File(path)) => {
                 let stamp = stamp(&path);
                 let keys = read(&path)?;
                 (Place::File(path), State { keys, stamp, ..State::default() })
             }
-            JwksSource::Url(url) => {
-                let client = Client::new(url, PATIENCE)?;
-                (Place::Url { client, asked: Arc::default() }, State::default())
-            }
+            Some(JwksSource::Url(url)) => away(Way::At(Client::new(url, PATIENCE)?)),
+            None => away(Way::By(Discovery::of(issuer, PATIENCE)?)),
         };
         Ok(Self { source, state: RwLock::new(state) })
     }
@@ -134,7 +164,7 @@ impl Jwks {
         if let Place::File(path) = &self.source {
             self.renew(path);
         }
-        let Place::Url { asked, .. } = &self.source else { return self.known(id, algorithm) };
+        let Place::Away { asked, .. } = &self.source else { return self.known(id, algorithm) };
         if let Ok(Some(key)) = self.known(id, algorithm) {
             return Ok(Some(key));
         }
@@ -153,13 +183,14 @@ impl Jwks {
         self.known(id, algorithm)
     }
 
+    /// Whether there are keys that a token can be checked with at `now`.
+    pub(super) fn is_there(&self, now: Instant) -> bool {
+        self.state.read().unwrap_or_else(PoisonError::into_inner).is_there(&self.source, now)
+    }
+
     fn known(&self, id: Option<&str>, algorithm: Algorithm) -> Result<Option<DecodingKey>, NoKeys> {
         let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
-        let is_there = match self.source {
-            Place::File(_) => state.broken.is_none(),
-            Place::Url { .. } => state.fetched.is_some_and(|fetched| fetched.elapsed() <= STALE),
-        };
-        if !is_there {
+        if !state.is_there(&self.source, Instant::now()) {
             return Err(NoKeys);
         }
         let fits = |key: &&PublicKey| {
@@ -173,62 +204,72 @@ impl Jwks {
         Ok(found.map(|key| key.key.clone()))
     }
 
-    /// Whether the keys can be read where they are in a file: also one that has not changed since it could be. Blocks.
+    /// Whether the keys can be read where they are in a file: also one that has not changed since it could be. What is found
+    /// counts for the next token, so that readiness and the tokens say the same. Blocks.
     ///
     /// # Errors
     /// [`JwksError`] where they cannot.
     pub(super) fn check(&self) -> Result<(), JwksError> {
         match &self.source {
-            Place::File(path) => read(path).map(drop),
-            Place::Url { .. } => Ok(()),
+            Place::File(path) => self.read_again(path, stamp(path)),
+            Place::Away { .. } => Ok(()),
         }
     }
 
-    /// Reads a file again that has changed. One that cannot be used lets nobody in, as a key may have been withdrawn, and
-    /// is tried again.
-    fn renew(&self, path: &std::path::Path) {
+    fn renew(&self, path: &Path) {
         let stamp = stamp(path);
-        {
+        let is_known = {
             let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
-            if state.stamp == stamp && !state.broken.as_ref().is_some_and(Broken::is_due) {
-                return;
-            }
+            state.stamp == stamp && !state.broken.as_ref().is_some_and(Broken::is_due)
+        };
+        if !is_known {
+            // Noted and logged.
+            self.read_again(path, stamp).ok();
         }
+    }
+
+    /// Reads a file again; `stamp` is that of before. One that cannot be used lets nobody in, as a key may have been
+    /// withdrawn, and is tried again.
+    fn read_again(&self, path: &Path, stamp: Stamp) -> Result<(), JwksError> {
         let found = read(path);
         let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
         state.stamp = stamp;
         match found {
-            Ok(keys) => (state.keys, state.broken) = (keys, None),
+            Ok(keys) => {
+                (state.keys, state.broken) = (keys, None);
+                Ok(())
+            }
             Err(error) => {
                 state.keys = Vec::new();
                 // Once for each reason, not at each token.
                 if Broken::note(&mut state.broken, error.to_string()) {
                     tracing::error!(%error, "no token is let in");
                 }
+                Err(error)
             }
         }
     }
 
-    /// Whether the keys were fetched.
+    /// Whether the keys were fetched. An answer that is no key set takes none away: that it was sent by the issuer is not
+    /// known, and a key that was withdrawn is gone with the next good answer, or after [`STALE`].
     async fn fetch(&self) -> bool {
-        let Place::Url { client, .. } = &self.source else { return true };
-        let fetched = client.get(MOST).await.map_err(JwksError::from).and_then(|text| parse(&text));
-        match fetched {
+        let Place::Away { way, .. } = &self.source else { return true };
+        match way.keys().await {
             Ok(keys) => {
                 let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
                 *state = State { keys, fetched: Some(Instant::now()), ..State::default() };
                 true
             }
             Err(error) => {
-                tracing::error!(%error, "the issuer's keys stay those known before");
+                tracing::error!(%error, "the issuer's keys stay those known before, for a day at most");
                 false
             }
         }
     }
 
-    /// Fetches the keys at a URL again and again, until `closing`.
+    /// Fetches keys that are in no file again and again, until `closing`.
     pub(super) async fn follow(&self, closing: CancellationToken) {
-        while let Place::Url { .. } = self.source {
+        while let Place::Away { .. } = self.source {
             let pause = if self.fetch().await { REFRESH } else { RETRY };
             tokio::select! {
                 () = tokio::time::sleep(pause) => {}
@@ -238,7 +279,7 @@ impl Jwks {
     }
 }
 
-fn read(path: &std::path::Path) -> Result<Vec<PublicKey>, JwksError> {
+fn read(path: &Path) -> Result<Vec<PublicKey>, JwksError> {
     let text = operator_file::read(path);
     parse(&text.map_err(|source| JwksError::Io { path: path.display().to_string(), source })?)
 }
@@ -267,4 +308,20 @@ fn public(value: serde_json::Value) -> Option<PublicKey> {
     let key = DecodingKey::from_jwk(&jwk).ok()?;
     let is_public = super::jwt::ALGORITHMS.iter().any(|algorithm| algorithm.family() == key.family());
     is_public.then_some(PublicKey { id: jwk.common.key_id, algorithm, key })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_that_were_fetched_are_trusted_for_a_day() {
+        let source = "http://127.0.0.1:9/keys".parse().unwrap();
+        let jwks = Jwks::open(Some(source), "https://login.example").unwrap();
+        let now = Instant::now();
+        assert!(!jwks.is_there(now), "none came yet");
+        jwks.state.write().unwrap().fetched = Some(now);
+        assert!(jwks.is_there(now) && jwks.is_there(now + STALE));
+        assert!(!jwks.is_there(now + STALE + Duration::from_secs(1)));
+    }
 }

@@ -1,6 +1,7 @@
 //! Signed tokens (JWT, RFC 7519) of the one issuer that the operator trusts, as OpenID Connect providers give them.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use jsonwebtoken::errors::{Error, ErrorKind};
 use jsonwebtoken::{Algorithm, Validation, decode, decode_header};
@@ -112,16 +113,18 @@ pub struct Issuer {
 }
 
 impl Issuer {
+    /// Without `keys` the issuer is asked where they are.
+    ///
     /// # Errors
-    /// [`JwksError`] when the keys cannot be read from their file.
-    pub fn open(name: &str, audience: &str, keys: JwksSource) -> Result<Self, JwksError> {
+    /// [`JwksError`] when the keys cannot be read from their file, or the issuer cannot be asked.
+    pub fn open(name: &str, audience: &str, keys: Option<JwksSource>) -> Result<Self, JwksError> {
         let mut validation = Validation::new(ALGORITHMS[0]);
         validation.set_issuer(&[name]);
         validation.set_audience(&[audience]);
         validation.set_required_spec_claims(&["exp", "iss", "aud", "sub"]);
         validation.validate_nbf = true;
         validation.leeway = LEEWAY;
-        Ok(Self { name: name.to_owned(), validation, keys: Arc::new(Jwks::open(keys)?) })
+        Ok(Self { name: name.to_owned(), validation, keys: Arc::new(Jwks::open(keys, name)?) })
     }
 
     /// Whether the keys can be read where they are in a file. Blocks.
@@ -130,6 +133,11 @@ impl Issuer {
     /// [`JwksError`] where they cannot.
     pub(super) fn check(&self) -> Result<(), JwksError> {
         self.keys.check()
+    }
+
+    /// Whether there are keys that tokens can be checked with now.
+    pub(super) fn has_keys(&self) -> bool {
+        self.keys.is_there(Instant::now())
     }
 
     /// Keeps the keys fresh until `closing`.

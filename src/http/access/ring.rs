@@ -80,34 +80,44 @@ impl KeyRing {
         Ok(Caller::Principal(Arc::new(Principal { name: key.name.clone(), scopes: key.scopes.clone() })))
     }
 
-    /// Whether the keys can be read: also a file that has not changed since it could be.
+    /// Whether the keys can be read: also a file that has not changed since it could be. What is found counts for the next
+    /// request, so that readiness and the keys say the same.
     ///
     /// # Errors
     /// [`KeyError::Missing`] where there was a file and is none now.
     pub fn check(&self) -> Result<(), KeyError> {
-        match read(&self.path)? {
-            None if self.is_closed() => Err(KeyError::Missing { path: self.path.display().to_string() }),
-            _ => Ok(()),
-        }
+        self.read_again(stamp(&self.path))
+    }
+
+    /// Whether there is a key that lets somebody in.
+    pub fn has_keys(&self) -> bool {
+        let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
+        state.broken.is_none() && state.keys.iter().any(|key| key.revoked.is_none())
     }
 
     fn renew(&self) {
         let stamp = stamp(&self.path);
-        {
+        let is_known = {
             let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
-            if state.stamp == stamp && !state.broken.as_ref().is_some_and(Broken::is_due) {
-                return;
-            }
+            state.stamp == stamp && !state.broken.as_ref().is_some_and(Broken::is_due)
+        };
+        if !is_known {
+            // Noted and logged.
+            self.read_again(stamp).ok();
         }
+    }
+
+    /// `stamp`: the file's, of before it is read.
+    fn read_again(&self, stamp: Stamp) -> Result<(), KeyError> {
         let found = read(&self.path);
         let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
         state.stamp = stamp;
         let error = match found {
             Ok(Some(keys)) => {
                 (state.keys, state.closed, state.broken) = (keys, true, None);
-                return;
+                return Ok(());
             }
-            Ok(None) if !state.closed => return,
+            Ok(None) if !state.closed => return Ok(()),
             Ok(None) => KeyError::Missing { path: self.path.display().to_string() },
             Err(error) => error,
         };
@@ -116,6 +126,7 @@ impl KeyRing {
         if Broken::note(&mut state.broken, error.to_string()) {
             tracing::error!(%error, "no key is let in");
         }
+        Err(error)
     }
 }
 
@@ -134,24 +145,39 @@ mod tests {
         ring.caller(Some(token)).ok().and_then(|caller| caller.owner().map(str::to_owned))
     }
 
+    /// As when the disk could not be read for a moment: what tells one state of the file from the next stays the same.
     #[test]
-    fn a_file_that_looks_as_it_did_is_tried_again() {
+    fn a_file_that_looks_as_it_did_is_tried_again_by_itself_or_by_readiness() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("keys.json");
         let token = KeyFile::new(&path).add("pacs", &[Scope::Read], false).unwrap();
         let ring = KeyRing::open(&path).unwrap();
-        let good = std::fs::read(&path).unwrap();
-        std::fs::write(&path, vec![b'x'; good.len()]).unwrap();
-        let at = std::time::SystemTime::UNIX_EPOCH;
-        let aged = || std::fs::File::options().write(true).open(&path).unwrap().set_modified(at).unwrap();
-        aged();
-        assert_eq!(ring.caller(Some(&token)), Err(Refusal::Unreadable));
-        std::fs::write(&path, &good).unwrap();
-        aged();
+        let fail = || Broken::note(&mut ring.state.write().unwrap().broken, "it is away".to_owned());
+        fail();
         // Not at each request.
         assert_eq!(ring.caller(Some(&token)), Err(Refusal::Unreadable));
+        assert!(!ring.has_keys());
         std::thread::sleep(std::time::Duration::from_millis(1100));
-        assert!(name(&ring, &token).is_some());
+        assert!(name(&ring, &token).is_some() && ring.has_keys());
+        fail();
+        assert!(ring.check().is_ok() && name(&ring, &token).is_some(), "both at once");
+    }
+
+    #[test]
+    fn a_change_of_the_right_to_read_is_a_change() {
+        use std::os::unix::fs::PermissionsExt;
+
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("keys.json");
+        std::fs::write(&path, "{}").unwrap();
+        let mut stamps = vec![stamp(&path)];
+        for mode in [0o000, 0o600] {
+            // As long as a tick of the file system's clock.
+            std::thread::sleep(std::time::Duration::from_millis(20));
+            std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
+            stamps.push(stamp(&path));
+        }
+        assert!(stamps[0] != stamps[1] && stamps[1] != stamps[2] && stamps[0].is_some());
     }
 
     #[test]

@@ -10,7 +10,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::super::App;
-use super::super::access::{Gate, GateError};
+use super::super::access::{Gate, GateError, IssuerKeys};
 use super::super::document::{self, PlainProblems, ReadyProblems};
 use super::super::problem::{NOT_READY, Problem};
 use crate::jobs::Unready;
@@ -58,8 +58,9 @@ pub async fn healthz() -> Response {
 /// Whether the service takes jobs
 ///
 /// Tries the job store, the disk and its free space, and the files of keys, an issuer's keys and webhook targets. When this fails, send no
-/// requests; the problem's `reasons` say why. A clock that
-/// cannot be trusted, and a TLS certificate that is about to expire, are `warnings`: jobs are taken all the same.
+/// requests; the problem's `reasons` say why. So it is where nobody can be let in as the keys of the issuer did not come. A clock that
+/// cannot be trusted, a TLS certificate that is about to expire, and an issuer whose keys did not come where there are other keys, are
+/// `warnings`: jobs are taken all the same.
 #[utoipa::path(
     get,
     path = "/readyz",
@@ -94,6 +95,9 @@ async fn unreadable(app: &App) -> Vec<&'static str> {
     faults.into_iter().map(|(reason, _)| reason).collect()
 }
 
+/// Why tokens get a 503.
+const NO_ISSUER: &str = "the issuer's keys did not come, so its tokens cannot be checked; the log says why";
+
 /// What of the keys cannot be read, and why.
 async fn gate(app: &App) -> Vec<(&'static str, String)> {
     let asked = app.clone();
@@ -101,11 +105,16 @@ async fn gate(app: &App) -> Vec<(&'static str, String)> {
     let keys = "the file of the keys cannot be read; `rosaline doctor` and the log say why";
     let issuer = "the file of the issuer's keys cannot be read; `rosaline doctor` and the log say why";
     match checked {
+        Ok(Ok(())) if issuer_keys(app) == IssuerKeys::Absent => vec![(NO_ISSUER, NO_ISSUER.to_owned())],
         Ok(Ok(())) => Vec::new(),
         Ok(Err(error @ GateError::Keys(_))) => vec![(keys, error.to_string())],
         Ok(Err(error @ GateError::Issuer(_))) => vec![(issuer, error.to_string())],
         Err(error) => vec![(keys, error.to_string())],
     }
+}
+
+fn issuer_keys(app: &App) -> IssuerKeys {
+    app.gate().map_or(IssuerKeys::Fine, Gate::issuer_keys)
 }
 
 /// Faults that were told in the log: each once as long as it lasts, not at each probe.
@@ -126,5 +135,6 @@ impl Faults {
 fn warnings(app: &App) -> Vec<String> {
     let clock = app.jobs().clock_doubt().map(|doubt| doubt.to_string());
     let certificate = app.tls().and_then(|tls| tls.expiry()).and_then(|expiry| expiry.warning());
-    clock.into_iter().chain(certificate).collect()
+    let issuer = (issuer_keys(app) == IssuerKeys::AbsentBesideKeys).then(|| NO_ISSUER.to_owned());
+    clock.into_iter().chain(certificate).chain(issuer).collect()
 }

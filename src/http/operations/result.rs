@@ -1,23 +1,20 @@
 //! `GET /v1/jobs/{id}/results/centerline`, and with an extension.
 
-use std::io;
 use std::ops::Range;
 
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use bytes::Bytes;
 use futures::TryStreamExt;
-use futures::stream::BoxStream;
 
-use super::super::document::{self, NegotiatedProblems, ResultProblems};
+use super::super::document::{self, ResultProblems};
 use super::super::etag::ETag;
 use super::super::problem::{NOT_ACCEPTABLE, PRECONDITION_FAILED, Problem, RANGE_NOT_SATISFIABLE};
 use super::super::{App, coding, negotiation, range};
 use super::status::RETRY_AFTER;
 use super::{Asked, Id};
-use crate::jobs::blob::{BlobError, BlobReader};
+use crate::jobs::blob::{BlobBody, BlobError};
 use crate::jobs::{Coding, JobError, JobId, StoredArtifact};
 use crate::output::OutputFormat;
 
@@ -34,7 +31,7 @@ const CACHE_CONTROL: HeaderValue = HeaderValue::from_static("private, max-age=31
     operation_id = "getCenterline",
     tag = document::RESULTS,
     params(document::JobPath, document::AcceptHeader, document::ConditionHeaders),
-    responses(document::AnyResult, NegotiatedProblems)
+    responses(document::AnyResult, ResultProblems)
 )]
 pub async fn negotiated(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<Response, Problem> {
     // First whether there is a result at all: that does not depend on the form.
@@ -103,7 +100,10 @@ pub async fn glb(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<Res
 
 async fn answer(app: &App, id: JobId, format: OutputFormat, asked: &Asked) -> Result<Response, Problem> {
     let codings = coding::accepted(&asked.headers);
-    let artifact = app.jobs().result_in(id, format, &codings).await.map_err(unavailable)?;
+    let artifact = app.jobs().result_in(id, format, &codings).await.map_err(|error| match error {
+        JobError::NoSuchResult { .. } if !codings.contains(&Coding::Identity) => not_in_coding(id, format),
+        error => unavailable(error),
+    })?;
     let etag = ETag::of_digest(&artifact.sha256);
     let headers = &asked.headers;
     if !etag.allows(headers) {
@@ -153,13 +153,13 @@ async fn open(
     id: JobId,
     artifact: &StoredArtifact,
     part: Option<Range<u64>>,
-) -> Result<BlobReader, Problem> {
+) -> Result<BlobBody<'static>, Problem> {
     present(app, id, app.jobs().open_result(artifact, part).await).await
 }
 
 async fn whole(app: &App, id: JobId, artifact: &StoredArtifact) -> Result<Response, Problem> {
     let blob = open(app, id, artifact, None).await?;
-    Ok(described(StatusCode::OK, artifact, blob.size, counted(app, blob.stream)))
+    Ok(described(StatusCode::OK, artifact, artifact.size, counted(app, id, blob)))
 }
 
 async fn partial(
@@ -170,17 +170,21 @@ async fn partial(
 ) -> Result<Response, Problem> {
     let blob = open(app, id, artifact, Some(part.clone())).await?;
     let length = part.end - part.start;
-    let mut response = described(StatusCode::PARTIAL_CONTENT, artifact, length, counted(app, blob.stream));
-    if let Ok(value) = HeaderValue::try_from(range::content_range(&part, blob.size)) {
+    let mut response = described(StatusCode::PARTIAL_CONTENT, artifact, length, counted(app, id, blob));
+    if let Ok(value) = HeaderValue::try_from(range::content_range(&part, artifact.size)) {
         response.headers_mut().insert(header::CONTENT_RANGE, value);
     }
     Ok(response)
 }
 
-/// A result's bytes, counted as they go out.
-fn counted(app: &App, stream: BoxStream<'static, io::Result<Bytes>>) -> Body {
+/// A result's bytes, counted as they go out. Where they end in an error the connection is cut: the client sees that its
+/// answer is not whole.
+fn counted(app: &App, id: JobId, body: BlobBody<'static>) -> Body {
     let counters = app.counters().clone();
-    Body::from_stream(stream.inspect_ok(move |chunk| counters.sent(chunk.len())))
+    let told = body.inspect_ok(move |chunk| counters.sent(chunk.len()));
+    Body::from_stream(
+        told.inspect_err(move |error| tracing::error!(job = %id, %error, "a result was cut short")),
+    )
 }
 
 fn described(status: StatusCode, artifact: &StoredArtifact, length: u64, body: Body) -> Response {
@@ -202,6 +206,13 @@ fn unsatisfiable(id: JobId, length: u64) -> Problem {
         .header(header::CONTENT_RANGE, range::content_range_unsatisfied(length))
         .header(header::ACCEPT_RANGES, "bytes")
         .about(id)
+}
+
+/// The client rules out the result as it is (RFC 9110, section 12.5.3), and there is no other.
+fn not_in_coding(id: JobId, format: OutputFormat) -> Problem {
+    let compressed = "and only texts that get smaller by it are there by gzip and zstd as well";
+    let detail = format!("the {} is there as it is (identity), {compressed}", format.extension());
+    Problem::new(&NOT_ACCEPTABLE, detail).header(header::VARY, "accept-encoding").about(id)
 }
 
 /// Of an active job: when to ask again.

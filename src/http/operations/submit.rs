@@ -74,13 +74,14 @@ pub async fn submit(State(app): State<App>, caller: Caller, request: Request) ->
 /// upload still, also when its client has gone: it lies on the disk.
 async fn inspect(
     app: &App,
-    Received { upload, hint, .. }: Received,
+    Received { upload, asked, hint, .. }: Received,
     place: Place,
 ) -> Result<Response, Problem> {
     let turn = app.validator().turn().await?;
     drop(place);
     let bytes = upload.read().await?;
-    let inspection = app.validator().inspect(turn, bytes, hint, upload.sha256().to_owned()).await?;
+    let inspection =
+        app.validator().inspect(turn, bytes, hint, asked.parameters, upload.sha256().to_owned()).await?;
     Ok(([(header::CACHE_CONTROL, "no-store")], Json(inspection)).into_response())
 }
 
@@ -119,7 +120,7 @@ async fn accept(
     let turn = app.validator().turn().await?;
     drop(place);
     let bytes = upload.read().await?;
-    let format = app.validator().check(turn, bytes, hint).await?;
+    let format = app.validator().check(turn, bytes, hint, asked.parameters).await?;
     drop(checking);
     // What the content was found to be settles what a second reading could doubt.
     spec.hint = FormatHint { extension: Some(format.name().to_owned()), content_type: None };

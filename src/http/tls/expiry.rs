@@ -44,7 +44,8 @@ impl Expiry {
                 "the TLS certificate has expired on {day}: clients refuse it; put a new one in its place"
             ))
         } else if days < DAYS {
-            Some(format!("the TLS certificate expires on {day}, in {days} days; put a new one in its place"))
+            let days = if days == 1 { "1 day".to_owned() } else { format!("{days} days") };
+            Some(format!("the TLS certificate expires on {day}, in {days}; put a new one in its place"))
         } else {
             None
         }
@@ -140,6 +141,7 @@ mod tests {
         assert_eq!(warning(Duration::days(30)), None);
         assert!(warning(Duration::days(30) - Duration::SECOND).unwrap().contains("2026-09-21, in 29 days"));
         assert!(warning(Duration::ZERO).unwrap().contains("in 0 days"));
+        assert!(warning(Duration::days(1)).unwrap().contains("in 1 day;"));
         assert!(warning(-Duration::SECOND).unwrap().contains("has expired on 2026-09-21"));
     }
 }

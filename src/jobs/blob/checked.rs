@@ -4,51 +4,19 @@ use std::collections::HashMap;
 use std::fs;
 use std::hash::{BuildHasher, RandomState};
 use std::io;
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, SystemTime};
 
 use super::BlobInfo;
+use crate::jobs::stamp::Stamp;
 
 /// Blobs that are remembered; with one more they are all forgotten.
 const MOST: usize = 1024;
 /// Blobs that are hashed at the same time: the threads that do it are those that uploads are synced on.
 const LANES: usize = 4;
-/// A file that was changed less long ago may change again without a sign: file systems tell times by the tick.
-const SETTLED: Duration = Duration::from_millis(100);
-
-/// Tells one state of a file from the next. Who changes it can set its time of change back, but not that of its inode.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct State {
-    file: u64,
-    length: u64,
-    changed: (i64, i64),
-    inode_changed: (i64, i64),
-}
-
-impl State {
-    fn of(path: &Path) -> io::Result<Self> {
-        let found = fs::metadata(path)?;
-        Ok(Self {
-            file: found.ino(),
-            length: found.len(),
-            changed: (found.mtime(), found.mtime_nsec()),
-            inode_changed: (found.ctime(), found.ctime_nsec()),
-        })
-    }
-
-    fn is_settled(&self) -> bool {
-        let (seconds, nanos) = self.inode_changed;
-        let (Ok(seconds), Ok(nanos)) = (u64::try_from(seconds), u32::try_from(nanos)) else { return false };
-        let changed = SystemTime::UNIX_EPOCH + Duration::new(seconds, nanos);
-        changed.elapsed().is_ok_and(|age| age >= SETTLED)
-    }
-}
-
 /// What was found in files.
 pub(super) struct Checked {
-    known: Mutex<HashMap<PathBuf, (State, BlobInfo)>>,
+    known: Mutex<HashMap<PathBuf, (Stamp, BlobInfo)>>,
     /// Files are spread over them: of those that ask for one file at once, one reads it.
     lanes: [Arc<tokio::sync::Mutex<()>>; LANES],
     spread: RandomState,
@@ -59,62 +27,71 @@ impl Checked {
         Arc::new(Self { known: Mutex::default(), lanes: Default::default(), spread: RandomState::new() })
     }
 
-    /// What `look` finds in a file, or has found in it.
+    /// What `look` finds in a file, or has found in it, with the stamp that the file had then.
     pub(super) async fn info(
         self: &Arc<Self>,
         path: PathBuf,
         look: impl FnOnce(&Path) -> io::Result<BlobInfo> + Send + 'static,
-    ) -> io::Result<BlobInfo> {
+    ) -> io::Result<(Stamp, BlobInfo)> {
         let (checked, asked) = (self.clone(), path.clone());
-        if let Some(info) = aside(move || Ok(checked.known(&asked, State::of(&asked)?))).await? {
-            return Ok(info);
+        if let Some(found) = aside(move || Ok(checked.known(&asked, stamp(&asked)?))).await? {
+            return Ok(found);
         }
         // The remainder is less than their number.
         let lane = self.lanes[(self.spread.hash_one(&path) % LANES as u64) as usize].clone();
         let (turn, checked) = (lane.lock_owned().await, self.clone());
         aside(move || {
-            let state = State::of(&path)?;
-            let info = match checked.known(&path, state) {
-                Some(info) => info,
-                None => look(&path)?,
+            let stamp = stamp(&path)?;
+            let found = match checked.known(&path, stamp) {
+                Some(found) => found,
+                None => (stamp, look(&path)?),
             };
-            checked.remember(path, state, &info)?;
+            checked.remember(path, &found)?;
             // Also when whoever asked has gone.
             drop(turn);
-            Ok(info)
+            Ok(found)
         })
         .await
     }
 
-    fn known(&self, path: &Path, state: State) -> Option<BlobInfo> {
+    fn known(&self, path: &Path, stamp: Stamp) -> Option<(Stamp, BlobInfo)> {
         let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
-        known.get(path).filter(|(before, _)| *before == state).map(|(_, info)| info.clone())
+        known.get(path).filter(|(before, _)| *before == stamp).cloned()
     }
 
     /// Unless the file has changed meanwhile, or only just before.
-    fn remember(&self, path: PathBuf, before: State, info: &BlobInfo) -> io::Result<()> {
-        if State::of(&path)? != before || !before.is_settled() {
+    fn remember(&self, path: PathBuf, found: &(Stamp, BlobInfo)) -> io::Result<()> {
+        let before = found.0;
+        if stamp(&path)? != before || !before.is_settled() {
             return Ok(());
         }
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         if known.len() >= MOST {
             known.clear();
         }
-        known.insert(path, (before, info.clone()));
+        known.insert(path, found.clone());
         Ok(())
     }
 }
 
+fn stamp(path: &Path) -> io::Result<Stamp> {
+    Ok(Stamp::of(&fs::metadata(path)?))
+}
+
 /// Off the async threads.
-async fn aside<T: Send + 'static>(work: impl FnOnce() -> io::Result<T> + Send + 'static) -> io::Result<T> {
+pub(super) async fn aside<T: Send + 'static>(
+    work: impl FnOnce() -> io::Result<T> + Send + 'static,
+) -> io::Result<T> {
     tokio::task::spawn_blocking(work).await.unwrap_or_else(|error| Err(io::Error::other(error)))
 }
 
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::time::Duration;
 
     use super::*;
+    use crate::jobs::stamp::SETTLED;
 
     #[tokio::test]
     async fn a_file_is_read_once_as_long_as_it_is_the_same() {
@@ -129,7 +106,7 @@ mod tests {
                     let text = fs::read_to_string(path)?;
                     Ok(BlobInfo { size: text.len() as u64, sha256: text })
                 };
-                checked.info(path, look).await
+                checked.info(path, look).await.map(|(_, info)| info)
             }
         };
         let mut told = 0;
@@ -160,7 +137,7 @@ mod tests {
         for place in 0..=MOST {
             let link = folder.path().join(place.to_string());
             std::os::unix::fs::symlink(&path, &link).unwrap();
-            checked.remember(link.clone(), State::of(&link).unwrap(), &info).unwrap();
+            checked.remember(link.clone(), &(stamp(&link).unwrap(), info.clone())).unwrap();
         }
         assert_eq!(checked.known.lock().unwrap().len(), 1);
     }

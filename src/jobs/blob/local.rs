@@ -10,14 +10,16 @@ use bytes::{Bytes, BytesMut};
 use futures::{FutureExt, StreamExt, TryStreamExt};
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as Key;
-use object_store::{GetOptions, MultipartUpload, ObjectStore, ObjectStoreExt, PutPayload};
+use object_store::{MultipartUpload, ObjectStore, ObjectStoreExt, PutPayload};
 use sha2::{Digest, Sha256};
 use tokio::task::JoinHandle;
 
 use crate::jobs::faults::{self, Operation, Side};
+use crate::jobs::stamp::Stamp;
 
 use super::checked::Checked;
-use super::{BlobBody, BlobError, BlobFuture, BlobInfo, BlobReader, BlobStore};
+use super::sending::{Proof, pieces};
+use super::{BlobBody, BlobError, BlobFuture, BlobInfo, BlobStore};
 
 /// Bytes gathered before they are hashed and written.
 const PART: usize = 1 << 20;
@@ -52,6 +54,25 @@ impl LocalBlobs {
     /// Tells a blob that is gone from a folder that is: of a disk that was taken away nothing is known.
     fn is_there(&self) -> Result<(), BlobError> {
         if self.root.is_dir() { Ok(()) } else { Err(BlobError::Folder(io::ErrorKind::NotFound.into())) }
+    }
+
+    fn path(&self, key: &str) -> Result<PathBuf, BlobError> {
+        self.files.path_to_filesystem(&Key::from(key)).map_err(|error| classified(key, error))
+    }
+
+    /// What is in a blob, and its file's stamp.
+    async fn found(&self, key: &str) -> Result<(Stamp, BlobInfo), BlobError> {
+        self.checked.info(self.path(key)?, looked_at).await.map_err(|error| unread(key, error))
+    }
+}
+
+/// Why a blob's file could not be read.
+fn unread(key: &str, error: io::Error) -> BlobError {
+    let key = || key.to_owned();
+    match error.kind() {
+        io::ErrorKind::NotFound => BlobError::NotFound { key: key() },
+        io::ErrorKind::InvalidData => BlobError::Changed { key: key() },
+        _ => BlobError::Folder(error),
     }
 }
 
@@ -108,7 +129,7 @@ fn looked_at(path: &Path) -> io::Result<BlobInfo> {
     }
 }
 
-fn hex(hash: Sha256) -> String {
+pub(super) fn hex(hash: Sha256) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
@@ -211,30 +232,33 @@ impl BlobStore for LocalBlobs {
         .boxed()
     }
 
-    fn open<'a>(&'a self, key: &'a str, range: Option<Range<u64>>) -> BlobFuture<'a, BlobReader> {
+    fn open<'a>(
+        &'a self,
+        key: &'a str,
+        of: &'a BlobInfo,
+        range: Option<Range<u64>>,
+    ) -> BlobFuture<'a, BlobBody<'static>> {
         async move {
-            let options = GetOptions { range: range.map(Into::into), ..GetOptions::default() };
-            let got = self.files.get_opts(&Key::from(key), options).await;
-            let got = got.map_err(|error| classified(key, error))?;
-            let (size, range) = (got.meta.size, got.range.clone());
-            Ok(BlobReader { size, range, stream: got.into_stream().map_err(io::Error::other).boxed() })
+            let path = self.path(key)?;
+            let (range, proof) = match range {
+                None => (0..of.size, Proof::digest(&of.sha256)),
+                Some(range) => {
+                    let (stamp, found) = self.found(key).await?;
+                    if found != *of {
+                        return Err(BlobError::Changed { key: key.to_owned() });
+                    }
+                    (range, Proof::Stamp(stamp))
+                }
+            };
+            let changed = key.to_owned();
+            let pieces = pieces(&path, range, proof).await.map_err(|error| unread(key, error))?;
+            Ok(pieces.map_err(move |error| io::Error::other(unread(&changed, error))).boxed())
         }
         .boxed()
     }
 
     fn info<'a>(&'a self, key: &'a str) -> BlobFuture<'a, BlobInfo> {
-        async move {
-            let path =
-                self.files.path_to_filesystem(&Key::from(key)).map_err(|error| classified(key, error))?;
-            match self.checked.info(path, looked_at).await {
-                Ok(info) => Ok(info),
-                Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                    Err(BlobError::NotFound { key: key.to_owned() })
-                }
-                Err(error) => Err(BlobError::Folder(error)),
-            }
-        }
-        .boxed()
+        async move { Ok(self.found(key).await?.1) }.boxed()
     }
 
     fn read<'a>(&'a self, key: &'a str) -> BlobFuture<'a, Bytes> {

@@ -2,6 +2,7 @@
 
 mod checked;
 mod local;
+mod sending;
 #[cfg(test)]
 mod tests;
 
@@ -19,6 +20,10 @@ pub use local::LocalBlobs;
 pub enum BlobError {
     #[error("there is no blob {key}")]
     NotFound { key: String },
+    #[error(
+        "the blob {key} is not what was stored; put a copy of its file back, or delete its job and post the mesh again"
+    )]
+    Changed { key: String },
     #[error("the upload is larger than the limit of {limit} bytes")]
     TooLarge { limit: u64 },
     #[error("the upload broke off: {0}")]
@@ -34,7 +39,7 @@ pub enum BlobError {
 /// What a blob method answers.
 pub type BlobFuture<'a, T> = BoxFuture<'a, Result<T, BlobError>>;
 
-/// Bytes to be stored, as they come.
+/// Bytes of a blob, as they come.
 pub type BlobBody<'a> = BoxStream<'a, io::Result<Bytes>>;
 
 /// A blob that was stored.
@@ -46,15 +51,6 @@ pub struct BlobInfo {
     pub sha256: String,
 }
 
-/// An open blob, or a range of it.
-pub struct BlobReader {
-    /// Bytes of the whole blob.
-    pub size: u64,
-    /// The bytes that `stream` gives: within `0..size`.
-    pub range: Range<u64>,
-    pub stream: BoxStream<'static, io::Result<Bytes>>,
-}
-
 /// Named immutable byte strings. Keys are relative paths of plain ASCII segments.
 pub trait BlobStore: Send + Sync + 'static {
     /// Stores `body` under `key`. When the future is ready the blob is whole and durable; until then, and
@@ -64,8 +60,17 @@ pub trait BlobStore: Send + Sync + 'static {
     /// [`BlobError::TooLarge`] as soon as the body passes `limit` bytes.
     fn put<'a>(&'a self, key: &'a str, body: BlobBody<'a>, limit: u64) -> BlobFuture<'a, BlobInfo>;
 
-    /// Opens a blob; `range` must lie within it.
-    fn open<'a>(&'a self, key: &'a str, range: Option<Range<u64>>) -> BlobFuture<'a, BlobReader>;
+    /// The bytes of the blob that `of` tells of, or of a `range` within it. Where others are there, also from some moment
+    /// on, the stream fails before its end: a whole that is wrong is never given whole, nor is a byte of a part that is.
+    ///
+    /// # Errors
+    /// [`BlobError::Changed`] where that is known at once.
+    fn open<'a>(
+        &'a self,
+        key: &'a str,
+        of: &'a BlobInfo,
+        range: Option<Range<u64>>,
+    ) -> BlobFuture<'a, BlobBody<'static>>;
 
     /// Size and SHA-256 of the bytes that are there now. They may be those found before where nothing says that the blob
     /// has changed since.

@@ -60,15 +60,18 @@ async fn bytes_come_back_with_their_size_and_hash() {
     keys_of_b.sort();
     assert_eq!(keys_of_b, ["b/c/one", "b/empty"]);
     assert!(store.list("c").await.unwrap().is_empty());
-    let part = store.open("a/input", Some(1_000_000..2_500_001)).await.unwrap();
-    assert_eq!((part.size, part.range), (3_500_000, 1_000_000..2_500_001));
-    let part: Vec<Bytes> = part.stream.try_collect().await.unwrap();
-    assert_eq!(part.concat(), large[1_000_000..2_500_001]);
+    let of = store.info("a/input").await.unwrap();
+    for (range, wanted) in [(None, &large[..]), (Some(1_000_000..2_500_001), &large[1_000_000..2_500_001])] {
+        let part = store.open("a/input", &of, range).await.unwrap();
+        assert_eq!(part.try_collect::<Vec<Bytes>>().await.unwrap().concat(), wanted);
+    }
+    let other = BlobInfo { sha256: hex(b"other"), ..of.clone() };
+    assert!(matches!(store.open("a/input", &other, Some(0..9)).await, Err(BlobError::Changed { .. })));
     for key in &keys {
         store.delete(key).await.unwrap();
         store.delete(key).await.unwrap();
         assert!(matches!(store.read(key).await, Err(BlobError::NotFound { .. })));
-        assert!(matches!(store.open(key, None).await, Err(BlobError::NotFound { .. })));
+        assert!(matches!(store.open(key, &of, None).await, Err(BlobError::NotFound { .. })));
     }
     store.put("again/input", body(vec![vec![1]]), 1).await.unwrap();
     assert_eq!(store.list("").await.unwrap(), ["again/input"], "the folder outlives its last blob");
