@@ -56,7 +56,7 @@ pub struct Measures {
     /// Share of the result's length that is farther than that from the known line.
     pub excess: f64,
     /// Mean relative error of the radius along the result, against the radius at the nearest
-    /// point of the known line.
+    /// point of the known line, where that is one: above a millionth of the widest.
     pub radius: f64,
     /// Ends of the graph.
     pub tips: Count,
@@ -136,7 +136,8 @@ pub fn measure(truth: &Line, result: &Line) -> Result<Measures, CompareError> {
     let step = diagonal / SAMPLES_PER_DIAGONAL;
     let known = SegmentTree::new(&truth.polylines).ok_or(CompareError::Empty)?;
     let found = SegmentTree::new(&result.polylines).ok_or(CompareError::Empty)?;
-    let forward = from_result(result, &known, step);
+    let widest = truth.polylines.iter().flat_map(|line| line.radii.iter().copied()).fold(0.0, f64::max);
+    let forward = from_result(result, &known, widest, step);
     let (missed, cover) = from_truth(truth, &found, step);
     let length = |absolute: f64| Length { absolute, percent: 100.0 * absolute / diagonal };
     let count = |truth, result| Count { truth, result };
@@ -165,7 +166,10 @@ struct Forward {
     radius: f64,
 }
 
-fn from_result(result: &Line, known: &SegmentTree, step: f64) -> Forward {
+fn from_result(result: &Line, known: &SegmentTree, widest: f64, step: f64) -> Forward {
+    /// Share of the widest known radius below which one is none: at the top of a dome it runs out to nothing.
+    const NONE: f64 = 1e-6;
+    let least = NONE * widest;
     let mut weight = 0.0;
     let mut sums = Forward { max: 0.0, mean: 0.0, deviation: 0.0, excess: 0.0, radius: 0.0 };
     let mut squares = 0.0;
@@ -178,7 +182,7 @@ fn from_result(result: &Line, known: &SegmentTree, step: f64) -> Forward {
         if near.distance > 0.5 * near.radius {
             sums.excess += sample.weight;
         }
-        if near.radius > 0.0 {
+        if near.radius > least {
             sums.radius += sample.weight * (sample.radius - near.radius).abs() / near.radius;
         }
     }
@@ -246,6 +250,15 @@ mod tests {
         close(measures.missed.absolute, 0.5, 1e-12);
         close(measures.radius, 0.25, 1e-12);
         assert_eq!((measures.cover, measures.excess), (1.0, 0.0));
+    }
+
+    #[test]
+    fn where_the_known_radius_runs_out_to_nothing_there_is_none_to_compare_with() {
+        let dome = straight([0.0; 3], [100.0, 0.0, 0.0], [2.0, 1e-12]);
+        let measures =
+            measure(&line(vec![dome]), &line(vec![straight([0.0; 3], [100.0, 0.0, 0.0], [2.0, 0.1])]));
+        let radius = measures.unwrap().radius;
+        assert!(radius < 1.0, "{radius}");
     }
 
     /// The distance rises from 0 to 3 along the result: its mean is 3/2, its deviation

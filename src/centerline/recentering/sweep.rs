@@ -16,9 +16,9 @@ use rustc_hash::FxHashSet;
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::connection::network::Network;
-use crate::centerline::connection::subsampling::settle_radii;
+use crate::centerline::connection::subsampling::{Anchor, settle_radii};
 use crate::centerline::cut_plane::wall_shape::FLAT;
-use crate::centerline::laplacian_smoothing::branch::observe;
+use crate::centerline::laplacian_smoothing::branch::{observe, smooth};
 use crate::centerline::recentering::ends::reach_ends;
 use crate::centerline::recentering::lobes::lobes;
 use crate::centerline::recentering::swept_fit::{Fitted, Search, fit_centre, fit_shape};
@@ -40,7 +40,8 @@ const MOVED: f64 = 0.5;
 /// Radius over radius of bend above which the wall inside the bend says nothing of the line.
 const TIGHT: f64 = 0.6;
 
-/// Re-centers every branch but sacs, and sets its radii; those of its ends too.
+/// Re-centers every branch but sacs, and sets its radii; those of its ends too. One that shows no tube is freed toward its
+/// tip, whose place is found anew.
 ///
 /// # Errors
 /// [`ExtractError::Cancelled`].
@@ -53,18 +54,28 @@ pub fn recenter_branches(
     let tip = |node: usize| network.anchor(node).filter(|_| network.is_end(node)).map(|anchor| anchor.point);
     let tips: Vec<[Option<Point3<f64>>; 2]> =
         network.tracks.iter().map(|track| [tip(track.from), tip(track.to)]).collect();
-    let one = |(track, tips): (&mut Track, [Option<Point3<f64>>; 2])| {
+    let joint = |node: usize| network.anchor(node).filter(|_| !network.is_end(node));
+    let joints: Vec<[Option<Anchor>; 2]> =
+        network.tracks.iter().map(|track| [joint(track.from), joint(track.to)]).collect();
+    let one = |((track, tips), [from, to]): ((&mut Track, [Option<Point3<f64>>; 2]), [Option<Anchor>; 2])| {
         control.cancel.check()?;
         // A ring has no ends that a smooth curve could be free at.
-        let moved = track.bulge.is_none() && track.from != track.to && recenter(surface, track, tips);
-        if moved {
+        let is_line = track.bulge.is_none() && track.from != track.to;
+        if is_line && recenter(surface, track, tips) {
             update_tangents(&mut track.stations);
             settle_radii(&mut track.stations);
             track.process = observe(&track.stations);
+            return Ok(true);
         }
-        Ok(moved)
+        // Its end was found before its sections were cut anew: where it is off, it still draws the line aside.
+        let is_clean = |station: &Station| station.sight == Sight::Clean;
+        let is_drawn = is_line && tips.iter().any(Option::is_some) && track.stations.iter().any(is_clean);
+        if is_drawn {
+            smooth(track, from, to);
+        }
+        Ok(is_drawn)
     };
-    let work = network.tracks.par_iter_mut().zip(tips);
+    let work = network.tracks.par_iter_mut().zip(tips).zip(joints);
     let moved = work.map(one).collect::<Result<Vec<bool>, ExtractError>>()?;
     let moved: FxHashSet<usize> =
         network.tracks.iter().zip(moved).filter(|(_, moved)| *moved).map(|(track, _)| track.chain).collect();
@@ -200,4 +211,48 @@ fn trust(stations: &[Station], tube: &SweptTube, centre: &Fitted) -> f64 {
     let sections = squares / (2.0 * count) / apart;
     let vertices = 2.0 * centre.left / (centre.count * (centre.count - centre.freedom).max(1.0));
     if sections > 0.0 { sections / (sections + vertices) } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix3, Unit, Vector3};
+
+    use super::*;
+    use crate::centerline::connection::network::NetworkNode;
+    use crate::centerline::laplacian_smoothing::branch::FIRM;
+    use crate::centerline::laplacian_smoothing::continuation::Process;
+    use crate::centerline::test_surfaces::{capsule, closed_surface};
+
+    #[test]
+    fn an_end_that_was_off_is_found_anew_where_the_branch_is_too_short_for_a_tube() {
+        let surface = closed_surface(&capsule(1.0, 4.0, 40));
+        let off = |z: f64| Point3::new(0.02 * z * z, 0.0, z);
+        let station = |k: u32| {
+            let z = 1.0 + 0.5 * f64::from(k);
+            let mut station = Station::rough(off(z), Unit::new_normalize(Vector3::z()), 1.0, 0);
+            // Its section says where the axis is.
+            (station.target, station.weight, station.sight) =
+                (Point3::new(0.0, 0.0, z), Matrix3::identity(), Sight::Clean);
+            station
+        };
+        let node =
+            |point: Point3<f64>| NetworkNode { vertex: 0, anchor: Some(Anchor { point, radius: 1.0 }) };
+        let track = Track {
+            chain: 0,
+            from: 0,
+            to: 1,
+            rings: Vec::new(),
+            stations: (0..STATIONS as u32 - 2).map(station).collect(),
+            bulge: None,
+            stiffness: FIRM,
+            process: Process::default(),
+        };
+        let nodes = vec![node(off(-1.0)), node(Point3::new(0.8, 0.0, 4.6))];
+        let mut network = Network { nodes, tracks: vec![track] };
+        recenter_branches(&TriangleGrid::new(&surface), &mut network, &Control::silent()).unwrap();
+        for (node, z) in [(0, -1.0), (1, 5.0)] {
+            let end = network.nodes[node].anchor.unwrap().point;
+            assert!((end - Point3::new(0.0, 0.0, z)).norm() < 0.02, "the end is at {end}");
+        }
+    }
 }
