@@ -5,6 +5,7 @@
 mod component;
 mod connection;
 mod control;
+mod cut_ends;
 mod cut_plane;
 mod equivalent_radius;
 mod error;
@@ -42,6 +43,7 @@ use crate::mesh::TriangleMesh;
 use crate::mesh::preparation::{
     PreparationError, PreparationReport, Prepared, Sites, Surface, prepare_while,
 };
+use crate::mesh::reopening::Closure;
 use component::ComponentGraph;
 use line_tree::LineTree;
 use own_sections::own_sections;
@@ -99,6 +101,9 @@ struct ComponentLine {
     warnings: Vec<Warning>,
 }
 
+/// How often cuts that a line shows are opened and the line is found anew.
+const REOPENED: usize = 3;
+
 /// Extracts and measures the line of component `index`.
 fn component(
     index: usize,
@@ -114,8 +119,40 @@ fn component(
         smoothing_filter::smooth(&mut surface.mesh, &cuts, control)?;
     }
     let grid = TriangleGrid::new(surface);
+    let mut line = traced(index, &grid, (diagonal, parameters, picks), control)?;
+    let mut findings = cut_ends::look(&grid, &line.graph, &control.cancel)?;
+    let mut opened: Option<(Surface, Picks)> = None;
+    for _ in 0..REOPENED {
+        let (seen, picks) = opened.as_ref().map_or((&*surface, picks), |(surface, picks)| (surface, picks));
+        let caps: Vec<&Closure> = findings.iter().filter_map(|finding| finding.cap.as_ref()).collect();
+        let next = (!caps.is_empty()).then(|| seen.reopened(&caps)).flatten();
+        let Some(next) = next else { break };
+        let (picks, grid) = (picks.renumbered(seen, &next), TriangleGrid::new(&next));
+        match traced(index, &grid, (diagonal, parameters, &picks), &control.quiet()) {
+            Ok(found) => line = found,
+            Err(ExtractError::Cancelled) => return Err(ExtractError::Cancelled),
+            // What is no vessel once it is open was not cut.
+            Err(_) => break,
+        }
+        findings = cut_ends::look(&grid, &line.graph, &control.cancel)?;
+        // What was opened once is as open as it gets.
+        findings.iter_mut().filter(|finding| finding.known).for_each(|finding| finding.cap = None);
+        opened = Some((next, picks));
+    }
+    line.warnings.extend(cut_ends::warning(index, &line.graph, &findings));
+    Ok(line)
+}
+
+/// The line of a prepared surface, and how good it is.
+fn traced(
+    index: usize,
+    grid: &TriangleGrid<'_>,
+    (diagonal, parameters, picks): (f64, &Parameters, &Picks),
+    control: &Control<'_>,
+) -> Result<ComponentLine, ExtractError> {
+    let surface = grid.surface();
     let mut graph = match parameters.preset() {
-        Preset::Default => preset_default::extract_component(&grid, parameters, picks, control),
+        Preset::Default => preset_default::extract_component(grid, parameters, picks, control),
         Preset::Paper => preset_paper::extract_component(surface, diagonal, parameters, picks, control),
     }?;
     graph.check_numbers()?;
@@ -123,9 +160,9 @@ fn component(
         orientation::tell_from(&mut graph, &surface.mesh.vertices[root.vertex as usize]);
     }
     let tree = LineTree::new(&graph);
-    let sections = own_sections(surface, &grid, &tree, &graph);
+    let sections = own_sections(surface, grid, &tree, &graph);
     equivalent_radius::settle(&mut graph, &sections);
-    let line = Line { surface, grid: &grid, graph: &graph, tree: &tree, sections: &sections };
+    let line = Line { surface, grid, graph: &graph, tree: &tree, sections: &sections };
     let (measured, warnings) = Measured::of(index, line);
     Ok(ComponentLine { graph, measured, warnings })
 }

@@ -85,7 +85,7 @@ fn places(branch: &Branch) -> Vec<usize> {
 
 /// The closed section around a point of a branch, with its centroid and the radius of the circle of its area;
 /// the point is the origin of its plane.
-fn section_around(
+pub fn section_around(
     surface: &Surface,
     grid: &TriangleGrid<'_>,
     branch: &Branch,
