@@ -5,6 +5,7 @@
 mod component;
 mod connection;
 mod control;
+mod cut_ends;
 mod cut_plane;
 mod equivalent_radius;
 mod error;
@@ -43,6 +44,7 @@ use crate::mesh::TriangleMesh;
 use crate::mesh::preparation::{
     PreparationError, PreparationReport, Prepared, Sites, Surface, prepare_while,
 };
+use crate::mesh::reopening::Closure;
 use component::ComponentGraph;
 use line_tree::LineTree;
 use own_sections::own_sections;
@@ -100,6 +102,9 @@ struct ComponentLine {
     warnings: Vec<Warning>,
 }
 
+/// How often cuts that a line shows are opened and the line is found anew.
+const REOPENED: usize = 3;
+
 /// Extracts and measures the line of component `index`.
 fn component(
     index: usize,
@@ -115,6 +120,39 @@ fn component(
         smoothing_filter::smooth(&mut surface.mesh, &cuts, control)?;
     }
     let surface = &*surface;
+    let (grid, mut line) = traced(index, surface, (diagonal, parameters, picks), control)?;
+    let mut findings = cut_ends::look(&grid, &line.graph, &control.cancel)?;
+    let mut opened: Option<(Surface, Picks)> = None;
+    for _ in 0..REOPENED {
+        let (seen, picks) = opened.as_ref().map_or((surface, picks), |(surface, picks)| (surface, picks));
+        let caps: Vec<&Closure> = findings.iter().filter_map(|finding| finding.cap.as_ref()).collect();
+        let next = (!caps.is_empty()).then(|| seen.reopened(&caps)).flatten();
+        let Some(next) = next else { break };
+        let picks = picks.renumbered(seen, &next);
+        match traced(index, &next, (diagonal, parameters, &picks), &control.quiet()) {
+            Ok((grid, found)) => {
+                line = found;
+                findings = cut_ends::look(&grid, &line.graph, &control.cancel)?;
+            }
+            Err(ExtractError::Cancelled) => return Err(ExtractError::Cancelled),
+            // What is no vessel once it is open was not cut.
+            Err(_) => break,
+        }
+        // What was opened once is as open as it gets.
+        findings.iter_mut().filter(|finding| finding.known).for_each(|finding| finding.cap = None);
+        opened = Some((next, picks));
+    }
+    line.warnings.extend(cut_ends::warning(index, &line.graph, &findings));
+    Ok(line)
+}
+
+/// The line of a prepared surface, how good it is, and the surface's triangles, sorted on the way.
+fn traced<'a>(
+    index: usize,
+    surface: &'a Surface,
+    (diagonal, parameters, picks): (f64, &Parameters, &Picks),
+    control: &Control<'_>,
+) -> Result<(TriangleGrid<'a>, ComponentLine), ExtractError> {
     let (grid, mut graph) = match parameters.preset() {
         Preset::Default => preset_default::extract_component(surface, parameters, picks, control),
         Preset::Paper => preset_paper::extract_component(surface, diagonal, parameters, picks, control)
@@ -129,7 +167,7 @@ fn component(
     equivalent_radius::settle(&mut graph, &sections);
     let line = Line { surface, grid: &grid, graph: &graph, tree: &tree, sections: &sections };
     let (measured, warnings) = Measured::of(index, line);
-    Ok(ComponentLine { graph, measured, warnings })
+    Ok((grid, ComponentLine { graph, measured, warnings }))
 }
 
 /// Refuses a component that encloses nothing, before anything is looked for on it: a soup has thousands.

@@ -33,6 +33,9 @@ pub struct OwnSection {
     pub radius: f64,
     /// The same of the wall, on which the vertices lie.
     pub wall_radius: f64,
+    /// Distance of the nearest quarter of the wall around the point; by as much more than that of the polygon's sides as
+    /// the wall's radius is than the polygon's. Infinite where the mesh is too coarse to tell.
+    pub near: f64,
 }
 
 /// The own sections of a component's line, in its order. O(sections x triangles crossed).
@@ -56,12 +59,10 @@ pub fn own_sections(
         let away = |node: usize| (graph.nodes[node].position - branch.points[place]).norm();
         let clear = ends.into_iter().all(|node| away(node) > radius);
         let own = clear && is_convex(&cut) && !is_shared(&cut, line, (number, place));
-        own.then(|| OwnSection {
-            branch: number,
-            place,
-            offset: centroid.coords.norm(),
-            radius,
-            wall_radius: wall_radius(surface, &cut, &centroid, radius),
+        own.then(|| {
+            let wall_radius = wall_radius(surface, &cut, &centroid, radius);
+            let near = nearest_quarter(&cut) * (wall_radius / radius).max(1.0);
+            OwnSection { branch: number, place, offset: centroid.coords.norm(), radius, wall_radius, near }
         })
     };
     all.par_iter().filter_map(one).collect()
@@ -85,7 +86,7 @@ fn places(branch: &Branch) -> Vec<usize> {
 
 /// The closed section around a point of a branch, with its centroid and the radius of the circle of its area;
 /// the point is the origin of its plane.
-fn section_around(
+pub fn section_around(
     surface: &Surface,
     grid: &TriangleGrid<'_>,
     branch: &Branch,
@@ -105,6 +106,27 @@ fn section_around(
         let around = measure.area > 0.0 && cut.encloses(&Point2::origin());
         around.then(|| (cut, measure.centroid, measure.radius()))
     })
+}
+
+/// How far the sides of a section that are nearest to the origin lie from there, on a quarter of all the way around it;
+/// nothing tells of where that is but a few sides, as in a vessel of three edges across.
+fn nearest_quarter(cut: &Section) -> f64 {
+    /// Fewest sides that show a wall.
+    const SIDES: usize = 4;
+    // Of each side the distance of its middle, and the angle that it is seen under.
+    let seen = |(p, q, _): (Point2<f64>, Point2<f64>, u32)| {
+        let (p, q) = (p.coords, q.coords);
+        (0.5 * (p + q).norm(), p.perp(&q).atan2(p.dot(&q)).abs())
+    };
+    let mut sides: Vec<(f64, f64)> = cut.sides().map(seen).collect();
+    sides.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let quarter = 0.25 * sides.iter().map(|side| side.1).sum::<f64>();
+    let mut angle = 0.0;
+    let reached = sides.iter().position(|side| {
+        angle += side.1;
+        angle >= quarter
+    });
+    reached.filter(|&last| last + 1 >= SIDES).map_or(f64::INFINITY, |last| sides[last].0)
 }
 
 /// Whether a section fills most of what its tangents in a few directions enclose.

@@ -23,6 +23,12 @@ pub(super) struct Component {
     vertex: u32,
 }
 
+impl Component {
+    pub(super) fn into_surface(self) -> Surface {
+        self.surface
+    }
+}
+
 /// Drops the surfaces that lie inside another, and counts those and the inverted ones that remain.
 pub(super) fn leave_cavities_out(
     components: Vec<Component>,

@@ -48,8 +48,8 @@ const GIVEN_UP: u32 = NONE - 1;
 #[derive(Default)]
 pub(super) struct FlatCaps {
     pub(super) triangles: Vec<u32>,
-    /// The vertices of their rims.
-    rims: FxHashSet<u32>,
+    /// The vertices of their rims, or more.
+    pub(super) rims: FxHashSet<u32>,
 }
 
 /// Looks for the flat caps of a soup whose half-edges are matched. O(triangles).

@@ -12,6 +12,7 @@ pub mod normals;
 mod numbering;
 mod openings;
 pub mod preparation;
+pub mod reopening;
 mod sites;
 mod snapping;
 mod units;

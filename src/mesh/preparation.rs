@@ -56,8 +56,13 @@ impl Surface {
 
     /// Whether a triangle closes an opening: it is no wall. O(log openings).
     pub fn is_cap(&self, triangle: u32) -> bool {
+        self.opening_of(triangle).is_some()
+    }
+
+    /// The opening that a triangle closes. O(log openings).
+    pub fn opening_of(&self, triangle: u32) -> Option<&Opening> {
         let after = self.openings.partition_point(|opening| opening.cap.start <= triangle);
-        after > 0 && self.openings[after - 1].cap.contains(&triangle)
+        self.openings[..after].last().filter(|opening| opening.cap.contains(&triangle))
     }
 
     /// Diagonal of the bounding box, in the input's unit.
@@ -247,7 +252,7 @@ fn repeated(triangles: &[[u32; 3]]) -> Vec<u32> {
 
 /// Gives each fan of triangles around a vertex a vertex of its own; returns the vertices that were doubled, and each
 /// vertex's number before.
-fn split_fans(mesh: &mut TriangleMesh, opposite: &[u32]) -> (Sites, Vec<u32>) {
+pub(super) fn split_fans(mesh: &mut TriangleMesh, opposite: &[u32]) -> (Sites, Vec<u32>) {
     let mut names: Vec<u32> = (0..mesh.vertices.len() as u32).collect();
     let mut owner = vec![NONE; mesh.vertices.len()];
     let mut seen = vec![false; 3 * mesh.triangles.len()];

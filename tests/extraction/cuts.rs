@@ -1,12 +1,12 @@
 //! Ends that were cut aslant: the line stays on the axis and reaches the middle of the cut.
 
-use nalgebra::Point3;
-use rosaline::centerline::Extraction;
+use nalgebra::{Point3, Vector3};
+use rosaline::centerline::{Control, Extraction, Parameters, extract};
 use rosaline::mesh::TriangleMesh;
 use rosaline::mesh::preparation::{Opening, prepare};
 
 use crate::lines::{ends_and_junctions, line_of, points};
-use crate::surfaces::{Ends, sweep};
+use crate::surfaces::{Ends, Random, implicit, sweep};
 
 const LENGTH: f64 = 30.0;
 
@@ -22,8 +22,8 @@ fn cut(degrees: f64, radius: impl Fn(f64) -> f64, ends: Ends) -> TriangleMesh {
     mesh
 }
 
-/// `most`: distance of a point from the axis, relative error of a radius.
-fn check(found: &Extraction, radius: impl Fn(f64) -> f64, most: [f64; 2], what: &str) {
+/// `most`: distance of a point from the axis, relative error of a radius, distance of an end from the middle of its cut.
+fn check(found: &Extraction, radius: impl Fn(f64) -> f64, most: [f64; 3], what: &str) {
     assert_eq!(ends_and_junctions(&found.centerline), (2, 0), "{what}");
     let aside = |point: &Point3<f64>| point.x.hypot(point.y);
     let off = points(&found.centerline).map(|(point, _)| aside(point)).fold(0.0, f64::max);
@@ -31,7 +31,7 @@ fn check(found: &Extraction, radius: impl Fn(f64) -> f64, most: [f64; 2], what: 
     for end in [0.0, LENGTH] {
         let away = |node: &Point3<f64>| (node - Point3::new(0.0, 0.0, end)).norm();
         let missed = found.centerline.nodes.iter().map(|node| away(&node.position)).fold(f64::MAX, f64::min);
-        assert!(missed < 0.15, "{what}: the cut at {end} is missed by {missed}");
+        assert!(missed < most[2], "{what}: the cut at {end} is missed by {missed}");
     }
     let error = |(point, found): (&Point3<f64>, f64)| (found / radius(point.z / LENGTH) - 1.0).abs();
     let error = points(&found.centerline).map(error).fold(0.0, f64::max);
@@ -49,7 +49,7 @@ fn a_cut_aslant_is_reached_in_its_middle() {
             check(
                 &line_of(&cut(degrees, |_| 2.0, ends)),
                 |_| 2.0,
-                [0.05, 0.02],
+                [0.05, 0.02, 0.15],
                 &format!("{ends:?}, {degrees} degrees"),
             );
         }
@@ -69,7 +69,7 @@ fn a_vessel_that_narrows_may_be_cut_aslant_too() {
     let radius = |share: f64| 2.5 - share;
     for ends in [Ends::Open, Ends::Flat] {
         // What turns the cut turns the rings behind it: the vessel narrows a little aslant.
-        check(&line_of(&cut(45.0, radius, ends)), radius, [0.1, 0.05], &format!("{ends:?}"));
+        check(&line_of(&cut(45.0, radius, ends)), radius, [0.1, 0.05, 0.15], &format!("{ends:?}"));
     }
 }
 
@@ -118,4 +118,52 @@ fn what_is_flat_and_no_cut_stays() {
     let mut flattened = cut(0.0, |_| 4.0, Ends::Flat);
     flattened.vertices.iter_mut().for_each(|vertex| vertex.x = vertex.x.min(3.0 + 0.05 * (vertex.z - 15.0)));
     assert_eq!(openings(&flattened), []);
+}
+
+/// A tube of radius 2 along z, cut at `degrees` and closed as marching tetrahedra of side `step` do.
+fn marched(degrees: f64, step: f64) -> TriangleMesh {
+    let (slope, reach) = (degrees.to_radians().tan(), 5.0);
+    let beyond = |p: &Point3<f64>, end: f64| (slope * p.x + (p.z - end)) * degrees.to_radians().cos();
+    let field = |p: &Point3<f64>| (p.x.hypot(p.y) - 2.0).max(beyond(p, LENGTH)).max(-beyond(p, 0.0));
+    // Off the lattice, so that no vertex of it lies on a plane.
+    let low = [-3.03, -3.07, -reach - 0.11];
+    implicit(low, [3.0, 3.0, LENGTH + reach], step, field)
+}
+
+#[test]
+fn a_cap_that_marching_cubes_rounded_is_known_from_the_line() {
+    for (degrees, step) in [(40.0, 1.0), (50.0, 1.0), (50.0, 0.6), (60.0, 0.6), (60.0, 0.4)] {
+        let found = line_of(&marched(degrees, step));
+        check(&found, |_| 2.0, [0.2, 0.1, 0.4], &format!("{degrees} degrees, {step}"));
+        assert!(found.warnings.is_empty(), "{degrees} degrees, {step}: {:?}", found.warnings);
+        assert_eq!(found.surface.openings, 0);
+    }
+}
+
+/// Every vertex moved by up to `most` along each axis.
+fn noisy(mut mesh: TriangleMesh, most: f64) -> TriangleMesh {
+    let mut random = Random(7);
+    let mut number = || most * (random.below(2001) as f64 / 1000.0 - 1.0);
+    mesh.vertices.iter_mut().for_each(|vertex| *vertex += Vector3::from_fn(|_, _| number()));
+    mesh
+}
+
+#[test]
+fn a_noisy_cap_is_known_from_the_line() {
+    // Each triangle of the caps leans by its own noise.
+    for (degrees, most) in [(50.0, 0.06), (50.0, 0.12), (60.0, 0.06)] {
+        let found = line_of(&noisy(cut(degrees, |_| 2.0, Ends::Flat), most));
+        check(&found, |_| 2.0, [0.2, 0.1, 0.4], &format!("{degrees} degrees, {most}"));
+        assert!(found.warnings.is_empty(), "{degrees} degrees, {most}: {:?}", found.warnings);
+    }
+}
+
+#[test]
+fn a_picked_end_is_kept_when_its_cut_is_opened() {
+    let mesh = marched(50.0, 0.6);
+    let mut parameters = Parameters::default();
+    parameters.set("root", "2,0,28").unwrap();
+    let found = extract(&mesh, &parameters, &Control::silent()).unwrap();
+    check(&found, |_| 2.0, [0.2, 0.1, 0.4], "with a root");
+    assert!(found.centerline.nodes[0].position.z > 29.0, "{:?}", found.centerline.nodes);
 }

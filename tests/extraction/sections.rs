@@ -1,5 +1,6 @@
 //! Vessels whose sections are no circles: the radius is that of the sphere that fits in.
 
+use nalgebra::Point3;
 use rosaline::centerline::Extraction;
 
 use crate::lines::{ends_and_junctions, line_of, points};
@@ -32,6 +33,15 @@ fn in_a_square_the_sphere_touches_the_sides() {
         5.0 / angle.cos().abs().max(angle.sin().abs())
     };
     check(&tube(wall), 5.0, 0.02);
+}
+
+#[test]
+fn in_a_pentagon_and_a_hexagon_it_does_too() {
+    for sides in [5.0, 6.0] {
+        let part = std::f64::consts::TAU / sides;
+        let wall = |angle: f64| 5.0 / ((angle + 0.2).rem_euclid(part) - 0.5 * part).cos();
+        check(&tube(wall), 5.0, 0.02);
+    }
 }
 
 #[test]
@@ -70,4 +80,17 @@ fn what_noise_and_few_vertices_show_are_no_lobes() {
 fn a_vessel_four_times_as_wide_as_high_misses_no_branch() {
     let wall = |angle: f64| 1.0 / (angle.cos() / 8.0).hypot(angle.sin() / 2.0);
     check(&tube(wall), 2.0, 0.02);
+}
+
+#[test]
+fn a_plate_whose_faces_have_no_vertices_is_told_of() {
+    // Half axes 15 and 1.5, 1 high: the nearest vertices lie at the edges of its faces.
+    let axis = |share: f64| Point3::new(0.0, 0.0, share);
+    let section = |_, angle: f64| [15.0 * angle.cos(), 1.5 * angle.sin()];
+    for [rings, sides] in [[2, 48], [4, 64], [7, 160], [11, 320]] {
+        let found = line_of(&sweep(axis, section, [rings, sides], Ends::Flat));
+        let codes: Vec<&str> = found.warnings.iter().map(|warning| warning.code).collect();
+        let widest = points(&found.centerline).map(|(_, radius)| radius).fold(0.0, f64::max);
+        assert!(widest < 0.7 || codes.contains(&"radius"), "{sides} sides: {widest}, {codes:?}");
+    }
 }

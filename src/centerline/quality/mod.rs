@@ -1,12 +1,13 @@
 //! How good a line is: measured on the result and the prepared surface alone, whichever preset made it.
 //!
-//! One file a property: [`homotopy`], [`inside`], [`centeredness`], [`coverage`], [`thinness`]. A component's
+//! One file a property: [`homotopy`], [`inside`], [`centeredness`], [`coverage`], [`thinness`], [`room`]. A component's
 //! line is measured against that component; what fails is a warning as well.
 
 mod centeredness;
 mod coverage;
 mod homotopy;
 mod inside;
+mod room;
 mod thinness;
 
 use crate::mesh::preparation::Surface;
@@ -75,7 +76,8 @@ impl Measured {
         let homotopy = Homotopy::of(surface, graph);
         let inside = inside::measure(grid, graph);
         let covered = coverage::measure(surface, tree, graph);
-        let warnings = [homotopy.warning(index), inside.warning(index), covered.warning(index, tree)];
+        let tight = room::measure(graph, sections).map(|tight| tight.warning(index, graph));
+        let warnings = [homotopy.warning(index), inside.warning(index), covered.warning(index, tree), tight];
         let offsets = centeredness::measure(sections);
         let thick = !thinness::is_thin(tree, graph);
         let measured = Self { components: 1, homotopy, inside, offsets, covered, thick };
@@ -192,6 +194,22 @@ mod tests {
     }
 
     #[test]
+    fn radii_that_no_sphere_has_are_told() {
+        let wide = |of: f64, from: usize, to: usize| {
+            let mut line = straight(0.0, 20.0, 0.0);
+            line.branches[0].radii[from..to].fill(of);
+            line
+        };
+        assert_eq!(measured(&tube(), &wide(1.1, 0, 101)).1, Vec::<&str>::new());
+        assert_eq!(measured(&tube(), &wide(1.4, 0, 101)).1, ["radius"]);
+        assert_eq!(measured(&tube(), &wide(1.4, 30, 60)).1, ["radius"]);
+        assert_eq!(measured(&tube(), &wide(1.4, 45, 50)).1, Vec::<&str>::new());
+        // Of three sides nobody knows what they are of.
+        let coarse = closed_surface(&open_tube(20.0, 10, 3));
+        assert!(!measured(&coarse, &straight(0.0, 20.0, 0.0)).1.contains(&"radius"));
+    }
+
+    #[test]
     fn half_a_line_covers_half_a_tube() {
         let (quality, warnings) = measured(&tube(), &straight(0.0, 10.0, 0.0));
         // The wall up to the ball around the line's end, and one of the two caps.
@@ -272,8 +290,9 @@ mod tests {
             let (quality, warnings) = measured(&surface, &graph);
             let Centeredness { mean, max, sections } = quality.centeredness;
             prop_assert!(sections >= 28, "{}", sections);
-            // The far side of the wall lies a radius and `aside` away.
-            prop_assert!(aside > 0.5 || warnings.is_empty(), "{:?}", warnings);
+            // The far side of the wall lies a radius and `aside` away, the near one where no sphere fits.
+            prop_assert!(aside > 0.2 || warnings.is_empty(), "{:?}", warnings);
+            prop_assert!(aside < 0.5 || warnings.contains(&"radius"), "{:?}", warnings);
             // A polygon of 96 sides has a little less area than its circle.
             prop_assert!((mean.unwrap() - aside).abs() < 0.002 && (max.unwrap() - aside).abs() < 0.002);
             prop_assert_eq!((quality.inside, quality.thinness), (1.0, true));

@@ -1,7 +1,7 @@
-//! How much nearer than its ellipse the wall of a branch comes: a real lumen is rounded to a triangle or a square as well,
-//! and its largest inscribed sphere touches the flat sides.
+//! How much nearer than its ellipse the wall of a branch comes: a real lumen is rounded to a triangle, a square or more
+//! sides as well, and its largest inscribed sphere touches the flat sides.
 //!
-//! The third and the fourth harmonic are smooth curves along the branch, like its ellipse. They count where they explain
+//! The third to the sixth harmonic are smooth curves along the branch, like its ellipse. They count where they explain
 //! more than their unknowns cost (the Bayesian information criterion, Schwarz 1978) and than the harmonics two orders
 //! above do, which no vessel has: noise and stairs have all alike.
 
@@ -12,7 +12,9 @@ use crate::centerline::recentering::swept_tube::SweptTube;
 use crate::centerline::recentering::swept_wall::{Heard, outside};
 
 /// The harmonics that lobes may have.
-const ORDERS: [i32; 2] = [3, 4];
+const ORDERS: [i32; 4] = [3, 4, 5, 6];
+/// The highest of those that is heard among others as large: stairs have no such axis.
+const ROUNDED: i32 = 4;
 /// Deviation of the wall from its ellipse, in radii, below which lobes are nothing.
 const NOTHING: f64 = 0.003;
 /// Directions that are looked in for the nearest wall.
@@ -72,7 +74,8 @@ fn shown(
     let fitted = fit_harmonic(tube, heard, order, Search::From(rung))?;
     let gain = |fitted: &Fitted| count * (squares / fitted.left.max(f64::MIN_POSITIVE)).ln().max(0.0);
     let explains = gain(&fitted) - fitted.freedom * count.ln();
-    if explains <= 0.0 {
+    // Binary voxels along the diagonal of their lattice have six sides too, but many more lobes as large.
+    if explains <= 0.0 || (order > ROUNDED && fitted.left > 0.5 * squares) {
         return None;
     }
     let control = fit_harmonic(tube, heard, order + 2, Search::Keep(fitted.rung))?;

@@ -37,6 +37,18 @@ pub struct Picks {
     pub root: Option<Pick>,
 }
 
+impl Picks {
+    /// The same points on a surface whose vertices were numbered anew; most are where they were.
+    pub fn renumbered(&self, before: &Surface, after: &Surface) -> Self {
+        let moved = |pick: &Pick| {
+            let nearest = nearest_vertex(&[Some(after)], &before.mesh.vertices[pick.vertex as usize]);
+            Pick { vertex: nearest.map_or(0, |(_, vertex, _)| vertex), ..*pick }
+        };
+        let all = |picks: &[Pick]| picks.iter().map(moved).collect();
+        Self { include: all(&self.include), exclude: all(&self.exclude), root: self.root.as_ref().map(moved) }
+    }
+}
+
 /// Gives each named point to the component that has the vertex nearest to it; `None` for components that are left
 /// out. O(points x vertices).
 ///

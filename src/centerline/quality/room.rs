@@ -1,0 +1,62 @@
+//! Whether the spheres that the line tells of fit into the vessel.
+//!
+//! The told radius is held against the nearest quarter of the wall around an [`OwnSection`]: noise of single vertices is
+//! not heard, nor what the facets of a coarse mesh cut off, but a flat side is, and a wall that the line lies beside.
+
+use crate::centerline::component::ComponentGraph;
+use crate::centerline::graph::Warning;
+use crate::centerline::own_sections::OwnSection;
+
+/// Told radius over the distance of the wall from which on it does not fit.
+const TOO_WIDE: f64 = 1.25;
+/// Over how many of those distances it must not fit, in one stretch.
+const STRETCH: f64 = 3.0;
+
+/// The longest stretch of a line whose spheres do not fit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tight {
+    branch: usize,
+    /// Its first and last point in the branch.
+    places: [usize; 2],
+    length: f64,
+    /// Median of told radius over the distance of the wall.
+    excess: f64,
+}
+
+/// The stretch that is longest against the room that it has; `None` where all spheres fit, or but for single ones.
+pub fn measure(graph: &ComponentGraph, sections: &[OwnSection]) -> Option<Tight> {
+    let excess = |section: &OwnSection| graph.branches[section.branch].radii[section.place] / section.near;
+    let together = |a: &OwnSection, b: &OwnSection| {
+        a.branch == b.branch && (excess(a) > TOO_WIDE) == (excess(b) > TOO_WIDE)
+    };
+    let tight = |run: &[OwnSection]| {
+        let (first, last) = (run.first()?, run.last()?);
+        let points = &graph.branches[first.branch].points[first.place..=last.place];
+        let length: f64 = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+        let median = |of: &dyn Fn(&OwnSection) -> f64| {
+            let mut all: Vec<f64> = run.iter().map(of).collect();
+            *all.select_nth_unstable_by(run.len() / 2, f64::total_cmp).1
+        };
+        let (excess, near) = (median(&excess), median(&|section| section.near));
+        let found = Tight { branch: first.branch, places: [first.place, last.place], length, excess };
+        (excess > TOO_WIDE && length > STRETCH * near).then_some((found, length / near))
+    };
+    let all = sections.chunk_by(together).filter_map(tight);
+    all.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(tight, _)| tight)
+}
+
+impl Tight {
+    /// That of component `index`.
+    pub fn warning(&self, index: usize, graph: &ComponentGraph) -> Warning {
+        let points = &graph.branches[self.branch].points;
+        let [from, to] = self.places.map(|place| points[place]);
+        Warning {
+            code: "radius",
+            detail: format!(
+                "on {:.4} of branch {} of component {index}, from [{:.4}, {:.4}, {:.4}] to [{:.4}, {:.4}, {:.4}], radii are {:.2} \
+                 times the distance of the wall: no such spheres fit",
+                self.length, self.branch, from.x, from.y, from.z, to.x, to.y, to.z, self.excess
+            ),
+        }
+    }
+}
