@@ -1,7 +1,7 @@
 //! The centerline of one component of the surface, before components are put together.
 
 use crate::centerline::ExtractError;
-use crate::centerline::graph::{Branch, Node, Warning};
+use crate::centerline::graph::{Branch, Node, NodeKind, Warning};
 
 /// Nodes and branches of one component; node numbers are its own.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -12,6 +12,11 @@ pub struct ComponentGraph {
 }
 
 impl ComponentGraph {
+    /// How many ends it has.
+    pub fn ends(&self) -> usize {
+        self.nodes.iter().filter(|node| node.kind == NodeKind::End).count()
+    }
+
     /// Refuses a line that has a number which is none, or a negative radius: around torn and scrambled walls a fit may run away, and what
     /// comes of it must not look like a line.
     ///

@@ -11,6 +11,7 @@ mod equivalent_radius;
 mod error;
 mod graph;
 mod laplacian_smoothing;
+mod least_radii;
 mod line_tree;
 mod orientation;
 mod own_sections;
@@ -126,17 +127,19 @@ fn component(
     for _ in 0..REOPENED {
         let (seen, picks) = opened.as_ref().map_or((surface, picks), |(surface, picks)| (surface, picks));
         let caps: Vec<&Closure> = findings.iter().filter_map(|finding| finding.cap.as_ref()).collect();
-        let next = (!caps.is_empty()).then(|| seen.reopened(&caps)).flatten();
-        let Some(next) = next else { break };
+        if caps.is_empty() {
+            break;
+        }
+        let Some(next) = seen.reopened(&caps, || control.cancel.check())? else { break };
         let picks = picks.renumbered(seen, &next);
         match traced(index, &next, (diagonal, parameters, &picks), &control.quiet()) {
-            Ok((grid, found)) => {
+            Ok((grid, found)) if found.graph.ends() >= line.graph.ends() => {
                 line = found;
                 findings = cut_ends::look(&grid, &line.graph, &control.cancel)?;
             }
             Err(ExtractError::Cancelled) => return Err(ExtractError::Cancelled),
-            // What is no vessel once it is open was not cut.
-            Err(_) => break,
+            // What is no vessel once it is open, or lost an end, was not cut.
+            Ok(_) | Err(_) => break,
         }
         // What was opened once is as open as it gets.
         findings.iter_mut().filter(|finding| finding.known).for_each(|finding| finding.cap = None);
@@ -159,6 +162,7 @@ fn traced<'a>(
             .map(|graph| (TriangleGrid::new(surface), graph)),
     }?;
     graph.check_numbers()?;
+    least_radii::raise(&grid, &mut graph);
     if let Some(root) = picks.root {
         orientation::tell_from(&mut graph, &surface.mesh.vertices[root.vertex as usize]);
     }

@@ -1,6 +1,7 @@
 //! The triangles of a surface sorted into cubes: what a line meets, and whether a point is inside.
 
 mod vertices;
+mod wall;
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;

@@ -157,7 +157,9 @@ async fn discovered(issuer: &str) -> Finding {
         Err(error) => return Finding::wrong(error.to_string(), "the service does not start"),
     };
     match discovery.keys().await {
-        Ok(keys) => Finding::Well(format!("tokens of {issuer} are let in, by its keys at {keys}")),
+        Ok(keys) => {
+            Finding::Well(format!("the issuer {issuer} names {keys} for its keys; they were not asked for"))
+        }
         Err(error) => Finding::wrong(
             format!("no token of {issuer} is let in: {error}"),
             "a running service tries again by itself",

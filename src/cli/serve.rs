@@ -76,7 +76,8 @@ pub fn check(args: &Args) -> Result<(), Failure> {
     issuer(args)?;
     if let Some(named) = &args.webhooks {
         let targets = TargetFile::new(named);
-        if !named.exists() {
+        // One that only cannot be looked at is told by the reading.
+        if matches!(named.try_exists(), Ok(false)) {
             return Err(targets.missing().into());
         }
         targets.list()?;

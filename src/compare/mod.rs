@@ -170,7 +170,7 @@ fn from_result(result: &Line, known: &SegmentTree, widest: f64, step: f64) -> Fo
     /// Share of the widest known radius below which one is none: at the top of a dome it runs out to nothing.
     const NONE: f64 = 1e-6;
     let least = NONE * widest;
-    let mut weight = 0.0;
+    let (mut weight, mut with_radius) = (0.0, 0.0);
     let mut sums = Forward { max: 0.0, mean: 0.0, deviation: 0.0, excess: 0.0, radius: 0.0 };
     let mut squares = 0.0;
     for sample in result.polylines.iter().flat_map(|polyline| polyline.samples(step)) {
@@ -184,6 +184,7 @@ fn from_result(result: &Line, known: &SegmentTree, widest: f64, step: f64) -> Fo
         }
         if near.radius > least {
             sums.radius += sample.weight * (sample.radius - near.radius).abs() / near.radius;
+            with_radius += sample.weight;
         }
     }
     let mean = sums.mean / weight;
@@ -192,7 +193,7 @@ fn from_result(result: &Line, known: &SegmentTree, widest: f64, step: f64) -> Fo
         mean,
         deviation: (squares / weight - mean * mean).max(0.0).sqrt(),
         excess: sums.excess / weight,
-        radius: sums.radius / weight,
+        radius: if with_radius > 0.0 { sums.radius / with_radius } else { 0.0 },
     }
 }
 

@@ -27,6 +27,12 @@ impl Stamp {
         }
     }
 
+    /// Whether it is the same file with the same bytes, as far as their length and time of change tell: also after a link
+    /// to it, or the right to read it, was changed.
+    pub(super) fn has_bytes_of(&self, before: &Self) -> bool {
+        (self.file, self.length, self.changed) == (before.file, before.length, before.changed)
+    }
+
     /// Whether its last change is so long ago that the next one will show.
     pub(super) fn is_settled(&self) -> bool {
         let (seconds, nanos) = self.inode_changed;

@@ -49,7 +49,7 @@ const GIVEN_UP: u32 = NONE - 1;
 pub(super) struct FlatCaps {
     pub(super) triangles: Vec<u32>,
     /// The vertices of their rims, or more.
-    pub(super) rims: FxHashSet<u32>,
+    rims: FxHashSet<u32>,
 }
 
 /// Looks for the flat caps of a soup whose half-edges are matched. O(triangles).
@@ -69,6 +69,11 @@ pub(super) fn find(mesh: &TriangleMesh, opposite: &[u32]) -> FlatCaps {
 }
 
 impl FlatCaps {
+    /// Triangles that close cuts, by whatever they are known.
+    pub(super) fn of(triangles: Vec<u32>) -> Self {
+        Self { triangles, rims: FxHashSet::default() }
+    }
+
     /// Drops their triangles; where they were, the surface is open. Returns the vertices of their rims.
     pub(super) fn take_out(self, mesh: &mut TriangleMesh, opposite: &mut Vec<u32>) -> FxHashSet<u32> {
         if self.triangles.is_empty() {

@@ -164,3 +164,15 @@ fn what_cannot_be_saved_says_where_it_is_wrong() {
     let flat = refused(|mesh| mesh.vertices.iter_mut().for_each(|p| *p = Point3::new(0.0, 0.0, p.z)));
     assert_eq!(flat, ExtractError::AllDegenerate { triangles: 2880 });
 }
+
+/// A needle is any number of its radii long: its sections are not followed one by one.
+#[test]
+fn a_stray_vertex_far_away_makes_no_endless_line() {
+    let mut mesh = tube();
+    let middle = mesh.vertices.len() / 2;
+    mesh.vertices[middle].x += 1000.0;
+    let found = line_of(&mesh);
+    let count: usize = found.centerline.branches.iter().map(|branch| branch.points.len()).sum();
+    assert!(count < 20_000, "{count} points");
+    assert!(!found.warnings.is_empty(), "it is told of");
+}

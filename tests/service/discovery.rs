@@ -90,7 +90,9 @@ async fn an_issuer_says_where_its_keys_are_and_they_may_move() {
     problem(list(&service, &issuer.token(&old)).await, 401, "unauthenticated").await;
     let data = tempfile::tempdir().unwrap();
     let said = doctor(data.path(), &issuer.words());
-    assert!(said.contains(&format!("tokens of {} are let in, by its keys at {url}", issuer.name)), "{said}");
+    let named =
+        format!("well   the issuer {} names {url} for its keys; they were not asked for", issuer.name);
+    assert!(said.contains(&named), "{said}");
     // What is damaged now takes no key away.
     issuer.put(StatusCode::OK, "{");
     let begin = std::time::Instant::now();

@@ -129,9 +129,8 @@ fn examine(
     let mut best: Option<(Finding, f64)> = None;
     for radii in BEFORE {
         cancel.check()?;
-        let Some(view) = whole_before(branch, radii).and_then(|place| View::from(grid, branch, place)) else {
-            continue;
-        };
+        let Some(place) = whole_before(branch, radii) else { continue };
+        let Some(view) = View::from(grid, branch, place, cancel)? else { continue };
         if view.explained < EXPLAINED {
             continue;
         }
@@ -185,18 +184,27 @@ struct View {
 }
 
 impl View {
-    fn from(grid: &TriangleGrid<'_>, branch: &Branch, place: usize) -> Option<Self> {
-        let tube = Tube::past(grid.surface(), grid, branch, place)?;
-        let region = Region::ahead(grid, &tube)?;
-        let mut plane = region.plane(&tube)?;
-        let along = meeting(&tube, &plane);
+    fn from(
+        grid: &TriangleGrid<'_>,
+        branch: &Branch,
+        place: usize,
+        cancel: &CancelToken,
+    ) -> Result<Option<Self>, ExtractError> {
+        let Some(tube) = Tube::past(grid.surface(), grid, branch, place) else { return Ok(None) };
+        let Some(region) = Region::ahead(grid, &tube, cancel)? else { return Ok(None) };
+        Ok(Self::of(branch, &tube, region))
+    }
+
+    fn of(branch: &Branch, tube: &Tube, region: Region) -> Option<Self> {
+        let mut plane = region.plane(tube)?;
+        let along = meeting(tube, &plane);
         let (middle, direction) = tube.at(along);
         if plane.normal.dot(&direction) < 0.0 {
             plane.normal = -plane.normal;
         }
         let end = branch.points.last()?;
         let Place { share: aside, wall, .. } = tube.place(end);
-        let fit = region.fit(&tube, &plane);
+        let fit = region.fit(tube, &plane);
         Some(Self {
             explained: fit.explained,
             bulge: fit.bulge,

@@ -12,9 +12,12 @@ use super::NEAR;
 use super::plane::Plane;
 use super::tube::{Place, Tube};
 use crate::centerline::triangle_grid::TriangleGrid;
+use crate::centerline::{CancelToken, ExtractError};
 
 /// Most of the surface that may lie ahead, in squared radii: 20 radii of a tube.
 const MOST: f64 = 125.0;
+/// The most triangles and points that are looked at: an end of needles may have any number of them.
+const MANY: usize = 1 << 18;
 /// What is nearer to the axis than this share of the wall's distance is no wall.
 const INNER: f64 = 0.75;
 
@@ -42,14 +45,28 @@ pub struct Fit {
 
 impl Region {
     /// What lies ahead in the tube; `None` where that is no end: more than an end has, or an opening.
-    pub fn ahead(grid: &TriangleGrid<'_>, tube: &Tube) -> Option<Self> {
+    ///
+    /// # Errors
+    /// [`ExtractError::Cancelled`].
+    pub fn ahead(
+        grid: &TriangleGrid<'_>,
+        tube: &Tube,
+        cancel: &CancelToken,
+    ) -> Result<Option<Self>, ExtractError> {
+        /// Triangles that are looked at between two looks at the cancellation.
+        const RUN: usize = 4096;
         let surface = grid.surface();
-        let first = grid.wall_ahead(&tube.frame.origin, &tube.frame.t)?;
+        let Some(first) = grid.wall_ahead(&tube.frame.origin, &tube.frame.t) else { return Ok(None) };
         let mut region = Self { triangles: FxHashMap::default(), samples: Vec::new(), is_open: false };
         let mut queue = VecDeque::from([first]);
         let mut seen = FxHashSet::from_iter([first]);
         let (mut area, most) = (0.0, MOST * tube.radius * tube.radius);
+        let mut looks = 0;
         while let Some(t) = queue.pop_front() {
+            looks += 1;
+            if looks % RUN == 0 {
+                cancel.check()?;
+            }
             let corners = surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize]);
             let middle = Point3::from((corners[0].coords + corners[1].coords + corners[2].coords) / 3.0);
             let place = tube.place(&middle);
@@ -59,12 +76,13 @@ impl Region {
             let own = 0.5 * surface.mesh.area_vector(t).norm();
             area += own;
             let opening = surface.opening_of(t);
-            if area > most || opening.is_some_and(|opening| !opening.was_closed) {
-                return None;
+            let is_much = area > most || looks.max(region.samples.len()) > MANY;
+            if is_much || opening.is_some_and(|opening| !opening.was_closed) {
+                return Ok(None);
             }
             region.is_open |= opening.is_some();
             region.triangles.insert(t, place);
-            region.spread(&corners, own, tube);
+            region.spread(&corners, (middle, place), own, tube);
             for h in 3 * t..3 * t + 3 {
                 let other = surface.corners.opposite(h) / 3;
                 if seen.insert(other) {
@@ -72,15 +90,25 @@ impl Region {
                 }
             }
         }
-        (!region.samples.is_empty()).then_some(region)
+        Ok((!region.samples.is_empty()).then_some(region))
     }
 
-    /// Points over a triangle, the more the larger it is.
-    fn spread(&mut self, [a, b, c]: &[Point3<f64>; 3], area: f64, tube: &Tube) {
+    /// Points over a triangle, the more the larger it is: its middle, whose place is known, where it is small.
+    fn spread(
+        &mut self,
+        [a, b, c]: &[Point3<f64>; 3],
+        (point, place): (Point3<f64>, Place),
+        area: f64,
+        tube: &Tube,
+    ) {
         /// Longest side of a piece, in radii.
         const FINE: f64 = 0.3;
         let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());
         let count = (longest / (FINE * tube.radius)).ceil().clamp(1.0, 12.0) as usize;
+        if count == 1 {
+            self.samples.push(Sample { point, place, area });
+            return;
+        }
         let step = 1.0 / count as f64;
         let area = area * step * step;
         // The middles of the pieces that lie as the triangle does, and of those that stand on their heads.
@@ -165,7 +193,7 @@ impl Region {
             if pinched.is_empty() {
                 let mut cap: Vec<u32> = cap.into_iter().collect();
                 cap.sort_unstable();
-                return Some(cap).filter(|cap| cap.len() >= FEWEST);
+                return Some(cap).filter(|cap| cap.len() >= FEWEST && is_disc(surface, cap));
             }
             let around = pinched.iter().flat_map(|&v| surface.corners.star(v)).map(|h| h / 3);
             cap.extend(around.filter(|t| self.triangles.contains_key(t)));
@@ -194,6 +222,17 @@ fn joined(corners: &CornerTable, mut queue: Vec<u32>, wanted: impl Fn(u32) -> bo
     found
 }
 
+/// Whether triangles, a rim around them that passes each vertex once, are one disc (Euler's formula): what has two rims
+/// would take a handle with it.
+fn is_disc(surface: &Surface, triangles: &[u32]) -> bool {
+    let held: FxHashSet<u32> = triangles.iter().copied().collect();
+    let vertices: FxHashSet<u32> =
+        triangles.iter().flat_map(|&t| surface.mesh.triangles[t as usize]).collect();
+    let half_edges = triangles.iter().flat_map(|&t| 3 * t..3 * t + 3);
+    let rim = half_edges.filter(|&h| !held.contains(&(surface.corners.opposite(h) / 3))).count();
+    rim > 0 && 2 * vertices.len() == triangles.len() + rim + 2
+}
+
 /// The vertices that the rim of a set of triangles passes more than once.
 fn pinches(surface: &Surface, set: &FxHashSet<u32>) -> Vec<u32> {
     let mut vertices: Vec<u32> = set.iter().flat_map(|&t| surface.mesh.triangles[t as usize]).collect();
@@ -204,4 +243,28 @@ fn pinches(surface: &Surface, set: &FxHashSet<u32>) -> Vec<u32> {
         surface.corners.star(*v).filter(|&h| inside(h) != inside(surface.corners.opposite(h))).count()
     };
     vertices.into_iter().filter(|v| borders(v) > 2).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::centerline::test_surfaces::{capsule, closed_surface};
+
+    #[test]
+    fn a_dome_is_a_disc_and_a_ring_of_wall_is_none() {
+        let surface = closed_surface(&capsule(1.0, 4.0, 24));
+        let between = |low: f64, high: f64| -> Vec<u32> {
+            let height = |t: u32| {
+                surface.mesh.triangles[t as usize]
+                    .iter()
+                    .map(|&v| surface.mesh.vertices[v as usize].z)
+                    .sum::<f64>()
+                    / 3.0
+            };
+            (0..surface.mesh.triangles.len() as u32).filter(|&t| (low..high).contains(&height(t))).collect()
+        };
+        assert!(is_disc(&surface, &between(4.2, 9.0)));
+        assert!(!is_disc(&surface, &between(1.0, 3.0)), "it has two rims");
+        assert!(!is_disc(&surface, &between(-9.0, 9.0)), "it has none");
+    }
 }

@@ -7,7 +7,7 @@ use nalgebra::{Point2, Point3, Unit, Vector2, Vector3};
 
 use crate::mesh::preparation::Surface;
 
-use crate::centerline::cut_plane::section::{Frame, Section};
+use crate::centerline::cut_plane::section::{Frame, Section, turn};
 use crate::centerline::graph::Branch;
 use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
 use crate::centerline::own_sections::section_around;
@@ -99,7 +99,8 @@ impl Tube {
     }
 
     fn wall_toward(&self, flat: &Vector2<f64>) -> f64 {
-        let turn = flat.y.atan2(flat.x).rem_euclid(TAU) / TAU * DIRECTIONS as f64;
+        // On the axis itself any direction will do.
+        let turn = if *flat == Vector2::zeros() { 0.0 } else { turn(flat) * DIRECTIONS as f64 };
         let (low, part) = (turn as usize, turn.fract());
         let at = |k: usize| self.wall[k % DIRECTIONS];
         at(low) + (at(low + 1) - at(low)) * part

@@ -132,9 +132,11 @@ fn look(
 pub fn fill_gaps(wall: Wall<'_>, track: &mut Track) {
     /// Distance between neighbours that is a gap, in radii.
     const GAP: f64 = 2.0 * SPACING;
+    /// Stations of a branch from which on gaps stay: a needle is any number of its radii long.
+    const MOST: usize = 4000;
     track.stations.retain(|station| station.sight != Sight::Lost);
     let mut at = 0;
-    while at + 1 < track.stations.len() {
+    while at + 1 < track.stations.len() && track.stations.len() < MOST {
         let (here, next) = (&track.stations[at], &track.stations[at + 1]);
         let radius = here.section_radius.min(next.section_radius);
         let clean = here.sight == Sight::Clean && next.sight == Sight::Clean;

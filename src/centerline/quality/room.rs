@@ -11,6 +11,8 @@ use crate::centerline::own_sections::OwnSection;
 const TOO_WIDE: f64 = 1.25;
 /// Over how many of those distances it must not fit, in one stretch.
 const STRETCH: f64 = 3.0;
+/// Farthest between two sections of a stretch, in radii of the first: what has none between them, as a sac, is not spoken of.
+const GAP: f64 = 1.5;
 
 /// The longest stretch of a line whose spheres do not fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,13 +28,17 @@ pub struct Tight {
 /// The stretch that is longest against the room that it has; `None` where all spheres fit, or but for single ones.
 pub fn measure(graph: &ComponentGraph, sections: &[OwnSection]) -> Option<Tight> {
     let excess = |section: &OwnSection| graph.branches[section.branch].radii[section.place] / section.near;
+    let way = |branch: usize, places: std::ops::RangeInclusive<usize>| -> f64 {
+        graph.branches[branch].points[places].windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()
+    };
     let together = |a: &OwnSection, b: &OwnSection| {
-        a.branch == b.branch && (excess(a) > TOO_WIDE) == (excess(b) > TOO_WIDE)
+        a.branch == b.branch
+            && (excess(a) > TOO_WIDE) == (excess(b) > TOO_WIDE)
+            && way(a.branch, a.place..=b.place) < GAP * a.radius
     };
     let tight = |run: &[OwnSection]| {
         let (first, last) = (run.first()?, run.last()?);
-        let points = &graph.branches[first.branch].points[first.place..=last.place];
-        let length: f64 = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+        let length = way(first.branch, first.place..=last.place);
         let median = |of: &dyn Fn(&OwnSection) -> f64| {
             let mut all: Vec<f64> = run.iter().map(of).collect();
             *all.select_nth_unstable_by(run.len() / 2, f64::total_cmp).1

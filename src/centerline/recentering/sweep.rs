@@ -37,6 +37,8 @@ const STATIONS: usize = 8;
 const VERTICES: usize = 24;
 /// Stations that would move farther than this (radii) are not on this wall.
 const MOVED: f64 = 0.5;
+/// Farthest from the middle of its own section (radii) that a station lies where nothing draws it aside.
+const DRAWN: f64 = 0.05;
 /// Radius over radius of bend above which the wall inside the bend says nothing of the line.
 const TIGHT: f64 = 0.6;
 
@@ -67,9 +69,10 @@ pub fn recenter_branches(
             track.process = observe(&track.stations);
             return Ok(true);
         }
-        // Its end was found before its sections were cut anew: where it is off, it still draws the line aside.
-        let is_clean = |station: &Station| station.sight == Sight::Clean;
-        let is_drawn = is_line && tips.iter().any(Option::is_some) && track.stations.iter().any(is_clean);
+        // Its end was found before its sections were cut anew: where it is off, it draws the line away from them.
+        let is_off = |s: &Station| (s.point - s.target).norm() > DRAWN * s.section_radius;
+        let mut clean = track.stations.iter().filter(|s| s.sight == Sight::Clean);
+        let is_drawn = is_line && tips.iter().any(Option::is_some) && clean.any(is_off);
         if is_drawn {
             smooth(track, from, to);
         }

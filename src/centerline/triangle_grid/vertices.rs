@@ -39,7 +39,7 @@ impl TriangleGrid<'_> {
     }
 
     /// The cubes that a box touches, `reach` to each side of its middle.
-    fn cells_around(&self, middle: &Point3<f64>, reach: f64) -> [[u16; 3]; 2] {
+    pub(super) fn cells_around(&self, middle: &Point3<f64>, reach: f64) -> [[u16; 3]; 2] {
         [-reach, reach].map(|arm| [0, 1, 2].map(|axis| self.cell_at(middle[axis] + arm, axis)))
     }
 }

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-/// How soon such a file is read again that looks as it did: a right to read it changes nothing of its stamp.
+/// How soon such a file is read again that looks as it did: its disk may only have been unreadable for a moment.
 const RETRY: Duration = Duration::from_secs(1);
 
 /// Why a file could not be used, and when that was last tried.

@@ -73,11 +73,17 @@ impl Discovery {
     /// # Errors
     /// [`DiscoveryError`] where the configuration does not come, is of another issuer, or names no fit address.
     pub async fn keys(&self) -> Result<Url, DiscoveryError> {
-        let url = || self.url.clone();
         let text = self.client.get(MOST).await;
-        let text = text.map_err(|source| DiscoveryError::Fetch { url: url(), source })?;
-        let found: Configuration = serde_json::from_slice(&text)
-            .map_err(|error| DiscoveryError::Damaged { url: url(), detail: error.to_string() })?;
+        let text = text.map_err(|source| DiscoveryError::Fetch { url: self.url.clone(), source })?;
+        self.named(&text)
+    }
+
+    /// Where the keys are by this configuration.
+    fn named(&self, text: &[u8]) -> Result<Url, DiscoveryError> {
+        let url = || self.url.clone();
+        // Its error repeats a string that is in a wrong place whole.
+        let found: Configuration = serde_json::from_slice(text)
+            .map_err(|error| DiscoveryError::Damaged { url: url(), detail: shown(&error.to_string()) })?;
         if found.issuer != self.issuer {
             return Err(DiscoveryError::Issuer { url: url(), found: shown(&found.issuer) });
         }
@@ -88,7 +94,8 @@ impl Discovery {
     }
 }
 
-fn shown(text: &str) -> String {
+/// As much of another's text as an error repeats.
+pub(super) fn shown(text: &str) -> String {
     text.chars().take(SHOWN).collect()
 }
 
@@ -116,6 +123,20 @@ mod tests {
             "https://user@login.example/",
         ] {
             assert!(matches!(url(issuer), Err(DiscoveryError::Name(_))), "{issuer}");
+        }
+    }
+
+    #[test]
+    fn an_error_repeats_little_of_a_configuration() {
+        let discovery = Discovery::of("http://127.0.0.1:7", Duration::from_secs(1)).unwrap();
+        let long = "x".repeat(MOST / 2);
+        for configuration in [
+            serde_json::json!(long),
+            serde_json::json!({"issuer": long, "jwks_uri": ""}),
+            serde_json::json!({"issuer": "http://127.0.0.1:7", "jwks_uri": long}),
+        ] {
+            let said = discovery.named(configuration.to_string().as_bytes()).unwrap_err().to_string();
+            assert!(said.contains("xxx") && said.len() < 1000, "{} bytes", said.len());
         }
     }
 }

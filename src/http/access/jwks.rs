@@ -12,7 +12,7 @@ use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
 use super::broken::Broken;
-use super::discovery::{Discovery, DiscoveryError};
+use super::discovery::{Discovery, DiscoveryError, shown};
 use crate::jobs::operator_file::{self, Stamp, stamp};
 use crate::outbound::{Client, OutboundError, Url};
 
@@ -79,6 +79,8 @@ struct PublicKey {
 pub(super) struct Jwks {
     source: Place,
     state: RwLock<State>,
+    /// Held from the look at a file until what it held is noted: nothing older comes in place of something newer.
+    turn: std::sync::Mutex<()>,
 }
 
 enum Place {
@@ -148,7 +150,7 @@ impl Jwks {
             Some(JwksSource::Url(url)) => away(Way::At(Client::new(url, PATIENCE)?)),
             None => away(Way::By(Discovery::of(issuer, PATIENCE)?)),
         };
-        Ok(Self { source, state: RwLock::new(state) })
+        Ok(Self { source, state: RwLock::new(state), turn: std::sync::Mutex::default() })
     }
 
     /// The key for a token that names `id` and `algorithm`, if there is one; without an id, the only one of the set that
@@ -211,25 +213,34 @@ impl Jwks {
     /// [`JwksError`] where they cannot.
     pub(super) fn check(&self) -> Result<(), JwksError> {
         match &self.source {
-            Place::File(path) => self.read_again(path, stamp(path)),
+            Place::File(path) => {
+                let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
+                self.read_again(path, stamp(path))
+            }
             Place::Away { .. } => Ok(()),
         }
     }
 
     fn renew(&self, path: &Path) {
+        if self.is_known(stamp(path)) {
+            return;
+        }
+        let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
         let stamp = stamp(path);
-        let is_known = {
-            let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
-            state.stamp == stamp && !state.broken.as_ref().is_some_and(Broken::is_due)
-        };
-        if !is_known {
+        // Of those that waited one reads it.
+        if !self.is_known(stamp) {
             // Noted and logged.
             self.read_again(path, stamp).ok();
         }
     }
 
-    /// Reads a file again; `stamp` is that of before. One that cannot be used lets nobody in, as a key may have been
-    /// withdrawn, and is tried again.
+    fn is_known(&self, stamp: Stamp) -> bool {
+        let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
+        state.stamp == stamp && !state.broken.as_ref().is_some_and(Broken::is_due)
+    }
+
+    /// Reads a file again, in its turn; `stamp` is that of before. One that cannot be used lets nobody in, as a key may
+    /// have been withdrawn, and is tried again.
     fn read_again(&self, path: &Path, stamp: Stamp) -> Result<(), JwksError> {
         let found = read(path);
         let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
@@ -291,7 +302,9 @@ fn parse(text: &[u8]) -> Result<Vec<PublicKey>, JwksError> {
     struct Set {
         keys: Vec<serde_json::Value>,
     }
-    let set: Set = serde_json::from_slice(text).map_err(|error| JwksError::Damaged(error.to_string()))?;
+    // Its error repeats a string that is in a wrong place whole.
+    let set: Set =
+        serde_json::from_slice(text).map_err(|error| JwksError::Damaged(shown(&error.to_string())))?;
     let keys: Vec<PublicKey> = set.keys.into_iter().filter_map(public).collect();
     if keys.is_empty() { Err(JwksError::Empty) } else { Ok(keys) }
 }
@@ -323,5 +336,14 @@ mod tests {
         jwks.state.write().unwrap().fetched = Some(now);
         assert!(jwks.is_there(now) && jwks.is_there(now + STALE));
         assert!(!jwks.is_there(now + STALE + Duration::from_secs(1)));
+    }
+
+    #[test]
+    fn an_error_repeats_little_of_a_key_set() {
+        let long = "x".repeat(MOST / 2);
+        for set in [serde_json::json!(long), serde_json::json!({"keys": long})] {
+            let said = parse(set.to_string().as_bytes()).err().unwrap().to_string();
+            assert!(said.contains("xxx") && said.len() < 1000, "{} bytes", said.len());
+        }
     }
 }

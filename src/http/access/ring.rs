@@ -4,7 +4,7 @@
 //! nobody is told that their key is wrong, which is not known.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 use super::broken::Broken;
 use super::keys::{Key, KeyError, hash, id_of, read};
@@ -15,6 +15,8 @@ use crate::jobs::operator_file::{Stamp, stamp};
 pub struct KeyRing {
     path: PathBuf,
     state: RwLock<State>,
+    /// Held from the look at the file until what it held is noted: nothing older comes in place of something newer.
+    turn: Mutex<()>,
 }
 
 struct State {
@@ -44,7 +46,7 @@ impl KeyRing {
         let found = read(&path)?;
         let closed = found.is_some();
         let state = State { stamp, closed, keys: found.unwrap_or_default(), broken: None };
-        Ok(Self { path, state: RwLock::new(state) })
+        Ok(Self { path, state: RwLock::new(state), turn: Mutex::default() })
     }
 
     /// The same of a file that must be there, as the operator named it.
@@ -86,6 +88,7 @@ impl KeyRing {
     /// # Errors
     /// [`KeyError::Missing`] where there was a file and is none now.
     pub fn check(&self) -> Result<(), KeyError> {
+        let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
         self.read_again(stamp(&self.path))
     }
 
@@ -96,18 +99,24 @@ impl KeyRing {
     }
 
     fn renew(&self) {
+        if self.is_known(stamp(&self.path)) {
+            return;
+        }
+        let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
         let stamp = stamp(&self.path);
-        let is_known = {
-            let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
-            state.stamp == stamp && !state.broken.as_ref().is_some_and(Broken::is_due)
-        };
-        if !is_known {
+        // Of those that waited one reads it.
+        if !self.is_known(stamp) {
             // Noted and logged.
             self.read_again(stamp).ok();
         }
     }
 
-    /// `stamp`: the file's, of before it is read.
+    fn is_known(&self, stamp: Stamp) -> bool {
+        let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
+        state.stamp == stamp && !state.broken.as_ref().is_some_and(Broken::is_due)
+    }
+
+    /// In its turn. `stamp`: the file's, of before it is read.
     fn read_again(&self, stamp: Stamp) -> Result<(), KeyError> {
         let found = read(&self.path);
         let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
@@ -161,6 +170,25 @@ mod tests {
         assert!(name(&ring, &token).is_some() && ring.has_keys());
         fail();
         assert!(ring.check().is_ok() && name(&ring, &token).is_some(), "both at once");
+    }
+
+    #[test]
+    fn what_waits_for_its_turn_notes_the_file_as_it_is_then() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("keys.json");
+        let file = KeyFile::new(&path);
+        file.add("pacs", &[Scope::Read], false).unwrap();
+        let ring = KeyRing::open(&path).unwrap();
+        std::thread::scope(|scope| {
+            let turn = ring.turn.lock().unwrap();
+            let probe = scope.spawn(|| ring.check());
+            std::thread::sleep(std::time::Duration::from_millis(50));
+            assert!(!probe.is_finished());
+            file.rotate("pacs").unwrap();
+            drop(turn);
+            assert!(probe.join().unwrap().is_ok());
+        });
+        assert!(ring.is_known(stamp(&path)));
     }
 
     #[test]

@@ -21,6 +21,9 @@ use crate::output::OutputFormat;
 /// Results never change under their URL; they may be patient data, so only the client's own cache keeps them.
 const CACHE_CONTROL: HeaderValue = HeaderValue::from_static("private, max-age=31536000, immutable");
 
+/// What the answer under the URL without an extension depends on.
+const NEGOTIATED_BY: &str = "accept, accept-encoding";
+
 /// A job's centerline in the form that `Accept` asks for
 ///
 /// JSON where the client has no preference. The line lies in the mesh's own unit and frame. Once it is there it
@@ -45,8 +48,9 @@ pub async fn negotiated(State(app): State<App>, Id(id): Id, asked: Asked) -> Res
             .header(header::VARY, "accept")
             .about(id));
     };
-    let mut response = answer(&app, id, *format, &asked).await?;
-    response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept, accept-encoding"));
+    let answered = answer(&app, id, *format, &asked).await;
+    let mut response = answered.map_err(|problem| problem.header(header::VARY, NEGOTIATED_BY))?;
+    response.headers_mut().insert(header::VARY, HeaderValue::from_static(NEGOTIATED_BY));
     if let Ok(location) =
         HeaderValue::try_from(format!("/v1/jobs/{id}/results/centerline.{}", format.extension()))
     {
@@ -211,7 +215,8 @@ fn unsatisfiable(id: JobId, length: u64) -> Problem {
 /// The client rules out the result as it is (RFC 9110, section 12.5.3), and there is no other.
 fn not_in_coding(id: JobId, format: OutputFormat) -> Problem {
     let compressed = "and only texts that get smaller by it are there by gzip and zstd as well";
-    let detail = format!("the {} is there as it is (identity), {compressed}", format.extension());
+    let todo = "leave identity;q=0 and *;q=0 out of Accept-Encoding, or accept gzip or zstd for a text";
+    let detail = format!("the {} is there as it is (identity), {compressed}; {todo}", format.extension());
     Problem::new(&NOT_ACCEPTABLE, detail).header(header::VARY, "accept-encoding").about(id)
 }
 

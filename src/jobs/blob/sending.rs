@@ -23,7 +23,8 @@ const PIECE: u64 = 256 << 10;
 pub(super) enum Proof {
     /// Of a whole file: its digest, known with the last piece, which is held back until then.
     Digest(Sha256, String),
-    /// Of a part: that the file is as it was when it was read through, after each piece.
+    /// Of a part: that the open file's bytes are as they were when it was read through, after each piece. It may be
+    /// linked or removed meanwhile.
     Stamp(Stamp),
 }
 
@@ -76,7 +77,7 @@ impl Sending {
         })?;
         self.left.start += length;
         let is_right = match &mut self.proof {
-            Proof::Stamp(stamp) => Stamp::of(&self.file.metadata()?) == *stamp,
+            Proof::Stamp(stamp) => Stamp::of(&self.file.metadata()?).has_bytes_of(stamp),
             Proof::Digest(hash, wanted) => {
                 hash.update(&piece);
                 self.left.start < self.left.end || hex(std::mem::take(hash)) == *wanted
@@ -145,5 +146,27 @@ mod tests {
         assert_eq!(sent(&path, 0..SIZE, digest(), || {}).await.unwrap(), (2 * PIECE, true));
         fs::write(&path, b"small").unwrap();
         assert!(sent(&path, 0..5, digest(), || {}).await.is_err(), "before anything is sent");
+    }
+
+    /// As by a backup of hard links, and by `DELETE` while a client is slow.
+    #[tokio::test]
+    async fn a_part_ends_well_though_its_file_is_linked_shut_or_removed_meanwhile() {
+        use std::os::unix::fs::PermissionsExt;
+
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("result");
+        fs::write(&path, vec![7u8; SIZE as usize]).unwrap();
+        // Longer than a tick, so that each shows in the time of change of the inode.
+        tokio::time::sleep(2 * crate::jobs::stamp::SETTLED).await;
+        let linked = || fs::hard_link(&path, folder.path().join("backup")).unwrap();
+        let shut = || fs::set_permissions(&path, fs::Permissions::from_mode(0o400)).unwrap();
+        let removed = || fs::remove_file(&path).unwrap();
+        let all: [&dyn Fn(); 3] = [&linked, &shut, &removed];
+        for meanwhile in all {
+            let proof = Proof::Stamp(Stamp::of(&fs::metadata(&path).unwrap()));
+            assert_eq!(sent(&path, 3..SIZE - 3, proof, meanwhile).await.unwrap(), (SIZE - 6, false));
+            tokio::time::sleep(crate::jobs::stamp::SETTLED).await;
+        }
+        assert!(!path.exists());
     }
 }

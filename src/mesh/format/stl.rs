@@ -45,9 +45,9 @@ pub(super) fn read_binary(bytes: &[u8], limits: &Limits) -> Result<TriangleMesh,
 }
 
 /// Facets that are welded among themselves first: their vertices stay in a core's cache.
-const PART: usize = 1 << 14;
-/// Parts that are in memory at a time, beside those before.
-const PARTS: usize = 8;
+const PART: usize = 1 << 13;
+/// Parts that are in memory at a time for each thread, beside those before.
+const PARTS: usize = 2;
 
 /// The facets part by part, many at once; the same surface as one after the other.
 fn read_facets(body: &[u8], limits: &Limits) -> Result<TriangleMesh, ReadError> {
@@ -65,7 +65,7 @@ fn read_facets(body: &[u8], limits: &Limits) -> Result<TriangleMesh, ReadError> 
     let mut whole = Soup::new(Format::StlBinary, limits, body.len() / FACET);
     let mut read: Vec<Result<Soup<'_>, ReadError>> = Vec::new();
     // What was read is joined while the next is read.
-    for group in parts.chunks(PARTS).chain([&[][..]]) {
+    for group in parts.chunks(PARTS * rayon::current_num_threads()).chain([&[][..]]) {
         let join = || read.drain(..).try_for_each(|soup| whole.append(soup?));
         let read_next = || group.par_iter().map(|&facets| part(facets)).collect();
         let (joined, next) = rayon::join(join, read_next);
