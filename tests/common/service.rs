@@ -116,6 +116,17 @@ impl Service {
         self.log.lock().unwrap().clone()
     }
 
+    /// The log, once it has `text`, or after five seconds: its lines come through a pipe.
+    pub async fn log_with(&self, text: &str) -> String {
+        for _ in 0..100 {
+            if self.log().contains(text) {
+                break;
+            }
+            tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+        }
+        self.log()
+    }
+
     /// SIGKILL.
     pub fn kill(&mut self) {
         self.child.kill().unwrap();

@@ -20,7 +20,7 @@ use crate::centerline::graph::{Branch, NodeKind, Warning};
 use crate::centerline::triangle_grid::TriangleGrid;
 use crate::centerline::{CancelToken, ExtractError};
 use plane::Plane;
-use region::Region;
+use region::{Region, facing};
 use tube::{Place, Tube};
 
 /// How far before the end the vessel may be whole again, in radii: a cut at 60 degrees is 3.5 long.
@@ -127,6 +127,9 @@ fn examine(
     /// Share that need not be surpassed.
     const SURE: f64 = 0.99;
     let mut best: Option<(Finding, f64)> = None;
+    if ends_squarely(grid, branch) {
+        return Ok(None);
+    }
     for radii in BEFORE {
         cancel.check()?;
         let Some(place) = whole_before(branch, radii) else { continue };
@@ -149,6 +152,21 @@ fn examine(
     }
     let finding = best.map(|(finding, _)| finding);
     Ok(finding.filter(|finding| finding.cap.is_some() || finding.off > ASIDE))
+}
+
+/// Whether a branch ends near the axis that it would have gone on along, in a piece of surface that faces along it: so
+/// nearly all ends do, and need no closer look.
+fn ends_squarely(grid: &TriangleGrid<'_>, branch: &Branch) -> bool {
+    let look = || {
+        let place = whole_before(branch, BEFORE[0])?;
+        let tube = Tube::past(grid.surface(), grid, branch, place)?;
+        let end = branch.points.last()?;
+        let Place { along, share, .. } = tube.place(end);
+        let (_, direction) = tube.at(along);
+        let cosine = facing(grid, &branch.points, 0.5 * tube.radius, &direction)?;
+        Some(share < MISSED && cosine > SQUARE)
+    };
+    look().unwrap_or(false)
 }
 
 /// The last point of a branch that lies `radii` of its own before the end.

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::mesh::corner_table::CornerTable;
@@ -206,6 +206,36 @@ impl Region {
         let outside = |h: u32| !self.triangles.contains_key(&(corners.opposite(h) / 3));
         self.triangles.keys().copied().filter(|t| (3 * t..3 * t + 3).any(outside)).collect()
     }
+}
+
+/// Cosine between a direction and where the surface within `reach` of a line's last point, that lies on it, faces on the
+/// mean. `None` where the line meets no wall there, or where that faces all ways.
+pub fn facing(
+    grid: &TriangleGrid<'_>,
+    line: &[Point3<f64>],
+    reach: f64,
+    direction: &Vector3<f64>,
+) -> Option<f64> {
+    /// Least length of the mean against that of single triangles.
+    const ALIKE: f64 = 0.7;
+    let end = line.last()?;
+    let surface = grid.surface();
+    let before = line.iter().rev().find(|point| (*point - end).norm() > reach)?;
+    let first = grid.wall_ahead(before, &(end - before).try_normalize(0.0)?)?;
+    let near = |t: u32| {
+        surface.mesh.triangles[t as usize]
+            .iter()
+            .any(|&v| (surface.mesh.vertices[v as usize] - end).norm() < reach)
+    };
+    let (mut sum, mut all) = (Vector3::zeros(), 0.0);
+    // In the order of their numbers, so that the sum is always the same.
+    let mut patch: Vec<u32> = joined(&surface.corners, vec![first], near).into_iter().collect();
+    patch.sort_unstable();
+    for area in patch.into_iter().map(|t| surface.mesh.area_vector(t)) {
+        sum += area;
+        all += area.norm();
+    }
+    (sum.norm() > ALIKE * all).then(|| sum.dot(direction) / sum.norm())
 }
 
 /// The triangles that hang together with those in `queue` and are `wanted`.

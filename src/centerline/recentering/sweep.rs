@@ -52,14 +52,16 @@ pub fn recenter_branches(
     network: &mut Network,
     control: &Control<'_>,
 ) -> Result<(), ExtractError> {
+    /// Of the first and of the last station's side.
+    type Ends<T> = [Option<T>; 2];
     let surface = grid.surface();
     let tip = |node: usize| network.anchor(node).filter(|_| network.is_end(node)).map(|anchor| anchor.point);
-    let tips: Vec<[Option<Point3<f64>>; 2]> =
+    let tips: Vec<Ends<Point3<f64>>> =
         network.tracks.iter().map(|track| [tip(track.from), tip(track.to)]).collect();
     let joint = |node: usize| network.anchor(node).filter(|_| !network.is_end(node));
-    let joints: Vec<[Option<Anchor>; 2]> =
+    let joints: Vec<Ends<Anchor>> =
         network.tracks.iter().map(|track| [joint(track.from), joint(track.to)]).collect();
-    let one = |((track, tips), [from, to]): ((&mut Track, [Option<Point3<f64>>; 2]), [Option<Anchor>; 2])| {
+    let one = |((track, tips), [from, to]): ((&mut Track, Ends<Point3<f64>>), Ends<Anchor>)| {
         control.cancel.check()?;
         // A ring has no ends that a smooth curve could be free at.
         let is_line = track.bulge.is_none() && track.from != track.to;
