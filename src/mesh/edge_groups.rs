@@ -30,20 +30,47 @@ fn sides(corners: &[u32; 3]) -> [(u32, u32); 3] {
     [(a.min(b), a.max(b)), (b.min(c), b.max(c)), (c.min(a), c.max(a))]
 }
 
+/// How many vertices each of those that count and place takes.
+fn share(mesh: &TriangleMesh) -> usize {
+    let readers = rayon::current_num_threads().min(READERS);
+    mesh.vertices.len().div_ceil(readers).max(SHARE)
+}
+
+/// How many half-edges each vertex has, as the smaller one of their two ends; and a zero after the last.
+fn counted(mesh: &TriangleMesh, share: usize) -> Vec<u32> {
+    let vertices = mesh.vertices.len();
+    let mut counts = vec![0u32; vertices + 1];
+    counts[..vertices].par_chunks_mut(share).enumerate().for_each(|(number, counts)| {
+        for (low, _) in mesh.triangles.iter().flat_map(sides) {
+            if let Some(count) = counts.get_mut((low as usize).wrapping_sub(share * number)) {
+                *count += 1;
+            }
+        }
+    });
+    counts
+}
+
 impl EdgeGroups {
     /// Counting sort of the half-edges by their smaller vertex, then a small sort by the larger one.
     pub(super) fn of(mesh: &TriangleMesh) -> Self {
+        let share = share(mesh);
+        Self::placed(mesh, share, counted(mesh, share))
+    }
+
+    /// [`EdgeGroups::plain_pairs`] of a soup. One that has more edges at a vertex than there are other vertices for is
+    /// refused before room is made for any.
+    pub(super) fn plain_pairs_of(mesh: &TriangleMesh) -> Option<Vec<u32>> {
+        let share = share(mesh);
+        let counts = counted(mesh, share);
+        if counts.iter().any(|&count| count as usize > 2 * mesh.vertices.len()) {
+            return None;
+        }
+        Self::placed(mesh, share, counts).plain_pairs(&mesh.triangles)
+    }
+
+    /// `start`: how many half-edges each vertex has, as the smaller one.
+    fn placed(mesh: &TriangleMesh, share: usize, mut start: Vec<u32>) -> Self {
         let vertices = mesh.vertices.len();
-        let readers = rayon::current_num_threads().min(READERS);
-        let share = vertices.div_ceil(readers).max(SHARE);
-        let mut start = vec![0u32; vertices + 1];
-        start[..vertices].par_chunks_mut(share).enumerate().for_each(|(number, counts)| {
-            for (low, _) in mesh.triangles.iter().flat_map(sides) {
-                if let Some(count) = counts.get_mut((low as usize).wrapping_sub(share * number)) {
-                    *count += 1;
-                }
-            }
-        });
         // Each entry comes to be its vertex's end, and is counted down to its start as members come in.
         for v in 1..start.len() {
             start[v] += start[v - 1];
@@ -151,5 +178,11 @@ mod tests {
         assert!(!is_plain(&[two[0], [0, 1, 3]]), "turned");
         assert!(!is_plain(&[two[0], [0, 2, 1]]), "the same corners");
         assert!(!is_plain(&[two[0], two[1], [0, 1, 4]]), "three at an edge");
+        let mesh = |triangles: Vec<[u32; 3]>| TriangleMesh { vertices: vec![Point3::origin(); 5], triangles };
+        assert!(EdgeGroups::plain_pairs_of(&mesh(two.to_vec())).is_some());
+        assert!(
+            EdgeGroups::plain_pairs_of(&mesh(vec![two[0]; 100])).is_none(),
+            "more than there are vertices for"
+        );
     }
 }

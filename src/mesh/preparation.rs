@@ -140,7 +140,7 @@ pub fn prepare_while<E: From<PreparationError> + Send>(
     };
     let (mut soup, kept) = with_area(mesh, &mut report)?;
     go_on()?;
-    let plain = EdgeGroups::of(&soup).plain_pairs(&soup.triangles);
+    let plain = EdgeGroups::plain_pairs_of(&soup);
     go_on()?;
     let mut opposite = plain.unwrap_or_else(|| matched(&mut soup, kept, &mut report));
     go_on()?;
