@@ -7,14 +7,11 @@ use nalgebra::{Point2, Point3, Unit, Vector2, Vector3};
 
 use crate::mesh::preparation::Surface;
 
-use crate::centerline::cut_plane::section::{Frame, Section, turn};
+use crate::centerline::cut_plane::section::{Frame, Profile, Section};
 use crate::centerline::graph::Branch;
 use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
 use crate::centerline::own_sections::section_around;
 use crate::centerline::triangle_grid::TriangleGrid;
-
-/// Directions in which the section's wall is known.
-const DIRECTIONS: usize = 32;
 
 /// A tube that begins at a point of a branch.
 #[derive(Debug, Clone)]
@@ -25,8 +22,8 @@ pub struct Tube {
     pub radius: f64,
     /// Toward the middle of the arc, one over its radius long.
     bend: Vector3<f64>,
-    /// Distance of the wall, evenly around.
-    wall: [f64; DIRECTIONS],
+    /// Distance of the wall in the frame.
+    wall: Profile,
     /// By what share of itself the section widens over one unit of length.
     widening: f64,
 }
@@ -90,29 +87,23 @@ impl Tube {
             (arm.dot(&t), arm - t * arm.dot(&t))
         };
         let flat = Vector2::new(across.dot(&u), across.dot(&v));
-        let wall = self.wall_toward(&flat) * (1.0 + self.widening * along).clamp(0.3, 2.0);
+        // On the axis itself any direction will do.
+        let toward = if flat == Vector2::zeros() { Vector2::x() } else { flat };
+        let wall = self.wall.at(&toward) * (1.0 + self.widening * along).clamp(0.3, 2.0);
         Place { along, share: flat.norm() / wall, wall }
     }
 
     fn is_bent(&self, curvature: f64) -> bool {
         curvature * self.radius > 1e-6
     }
-
-    fn wall_toward(&self, flat: &Vector2<f64>) -> f64 {
-        // On the axis itself any direction will do.
-        let turn = if *flat == Vector2::zeros() { 0.0 } else { turn(flat) * DIRECTIONS as f64 };
-        let (low, part) = (turn as usize, turn.fract());
-        let at = |k: usize| self.wall[k % DIRECTIONS];
-        at(low) + (at(low + 1) - at(low)) * part
-    }
 }
 
 /// Distance from the middle of `frame` to a section's sides, in evenly spread directions of the frame; the section
 /// stands across the same axis, maybe the other way round.
-fn wall_around(cut: &Section, frame: &Frame) -> Option<[f64; DIRECTIONS]> {
+fn wall_around(cut: &Section, frame: &Frame) -> Option<Profile> {
     let corners: Vec<Point2<f64>> = cut.points.iter().map(|p| frame.flat(&cut.frame.lift(p))).collect();
     let toward = |k: usize| {
-        let (sin, cos) = (TAU * k as f64 / DIRECTIONS as f64).sin_cos();
+        let (sin, cos) = (TAU * k as f64 / Profile::BINS as f64).sin_cos();
         let ray = Vector2::new(cos, sin);
         let side = |i: usize| {
             let (p, q) = (corners[i].coords, corners[(i + 1) % corners.len()].coords);
@@ -124,9 +115,9 @@ fn wall_around(cut: &Section, frame: &Frame) -> Option<[f64; DIRECTIONS]> {
         };
         (0..corners.len()).filter_map(side).min_by(f64::total_cmp)
     };
-    let mut wall = [0.0; DIRECTIONS];
-    for (k, distance) in wall.iter_mut().enumerate() {
+    let mut radii = [0.0; Profile::BINS];
+    for (k, distance) in radii.iter_mut().enumerate() {
         *distance = toward(k)?;
     }
-    Some(wall)
+    Some(Profile { radii })
 }

@@ -297,7 +297,7 @@ impl Profile {
 
 /// Angle of a direction from the first axis, as a share of a full turn in 0..=1, to 1e-12; much faster than the library's
 /// arc tangent.
-pub fn turn(direction: &Vector2<f64>) -> f64 {
+fn turn(direction: &Vector2<f64>) -> f64 {
     /// Tangents of 15 and 30 degrees.
     const NARROW: f64 = 0.267_949_192_431_122_7;
     const MIDDLE: f64 = 0.577_350_269_189_625_8;

@@ -18,28 +18,37 @@ impl TriangleGrid<'_> {
         found.into_iter().map(|v| vertices[v as usize]).collect()
     }
 
-    /// Distance from a point to the nearest vertex of a triangle. Looks into ever larger boxes of cubes.
+    /// Distance from a point to the nearest vertex of a triangle.
     pub fn clearance(&self, point: &Point3<f64>) -> f64 {
         let vertices = &self.surface.mesh.vertices;
+        let square = |v: u32| (vertices[v as usize] - point).norm_squared();
+        let nearest = |t: u32| {
+            let [a, b, c] = self.surface.mesh.triangles[t as usize].map(square);
+            a.min(b).min(c)
+        };
+        self.least_around(point, nearest).sqrt()
+    }
+
+    /// The least square of the distances of triangles from a point, as `square` tells each. Looks into ever larger boxes of
+    /// cubes.
+    pub(super) fn least_around(&self, point: &Point3<f64>, square: impl Fn(u32) -> f64) -> f64 {
         let mut reach = self.cell;
         loop {
             let mut least = f64::INFINITY;
             self.for_each_cell(&self.cells_around(point, reach), |cell| {
-                for v in self.of_cell(cell).iter().flat_map(|&t| self.surface.mesh.triangles[t as usize]) {
-                    least = least.min((vertices[v as usize] - point).norm_squared());
-                }
+                least = self.of_cell(cell).iter().fold(least, |least, &t| least.min(square(t)));
             });
             let more = |k: usize| point[k] - reach > self.low[k] || point[k] + reach < self.high[k];
             // Whatever lies outside the box is farther away.
             if least.sqrt() <= reach || !(0..3).any(more) {
-                return least.sqrt();
+                return least;
             }
             reach *= 2.0;
         }
     }
 
     /// The cubes that a box touches, `reach` to each side of its middle.
-    pub(super) fn cells_around(&self, middle: &Point3<f64>, reach: f64) -> [[u16; 3]; 2] {
+    fn cells_around(&self, middle: &Point3<f64>, reach: f64) -> [[u16; 3]; 2] {
         [-reach, reach].map(|arm| [0, 1, 2].map(|axis| self.cell_at(middle[axis] + arm, axis)))
     }
 }

@@ -5,25 +5,17 @@ use nalgebra::{Point3, Vector3};
 use super::TriangleGrid;
 
 impl TriangleGrid<'_> {
-    /// Distance from a point to the nearest triangle that closes no opening. Looks into ever larger boxes of cubes.
+    /// Distance from a point to the nearest triangle that closes no opening.
     pub fn wall_distance(&self, point: &Point3<f64>) -> f64 {
         let mesh = &self.surface.mesh;
-        let mut reach = self.cell;
-        loop {
-            let mut least = f64::INFINITY;
-            self.for_each_cell(&self.cells_around(point, reach), |cell| {
-                for &t in self.of_cell(cell).iter().filter(|&&t| !self.surface.is_cap(t)) {
-                    let corners = mesh.triangles[t as usize].map(|v| mesh.vertices[v as usize]);
-                    least = least.min((nearest_on(&corners, point) - point).norm());
-                }
-            });
-            let more = |k: usize| point[k] - reach > self.low[k] || point[k] + reach < self.high[k];
-            // Whatever lies outside the box is farther away.
-            if least <= reach || !(0..3).any(more) {
-                return least;
+        let square = |t: u32| {
+            if self.surface.is_cap(t) {
+                return f64::INFINITY;
             }
-            reach *= 2.0;
-        }
+            let corners = mesh.triangles[t as usize].map(|v| mesh.vertices[v as usize]);
+            (nearest_on(&corners, point) - point).norm_squared()
+        };
+        self.least_around(point, square).sqrt()
     }
 }
 
