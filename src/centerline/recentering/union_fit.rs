@@ -20,7 +20,7 @@ const LEVER: f64 = 0.5;
 /// Prior deviations: radius at the centre (share), centre from where it was (widest radius).
 const RADIUS: f64 = 0.08;
 const CENTRE: f64 = 1.0;
-const ROUNDS: usize = 6;
+const ROUNDS: usize = 3;
 /// Steps of a round; of the last, whose result stays, more.
 const STEPS: usize = 2;
 const LAST_STEPS: usize = 8;
