@@ -3,9 +3,9 @@
 //! A front that starts at one vertex of a wide end's rim, or enters a wide vessel from a thin side
 //! branch, runs aslant there and hides short trunks; one that starts from a whole cap does not.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
+use rustc_hash::FxHashSet;
 
-use crate::mesh::corner_table::next;
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
@@ -98,7 +98,53 @@ fn chain_ends(surface: &Surface, graph: &ReebGraph, chains: &[Chain]) -> Vec<End
 fn doubtful_end(surface: &Surface, graph: &ReebGraph, tip: &DoubtfulTip) -> Option<End> {
     let vertex = graph.nodes[tip.leaf as usize].vertex;
     let outward = (surface.mesh.vertices[vertex as usize] - tip.base).try_normalize(0.0)?;
+    let outward = along_vessel(surface, vertex, tip.radius, outward);
     Some(End { vertex, radius: tip.radius, outward, short: true })
+}
+
+/// `outward` turned along the vessel that the wall around the end is of: the direction that its normals leave free
+/// (eq. 9). A front that came aslant ends at the far side of a cap, and `outward` leans that way. Where no direction
+/// is the vessel's, it stays.
+fn along_vessel(surface: &Surface, vertex: u32, radius: f64, outward: Vector3<f64>) -> Vector3<f64> {
+    /// How far the wall is looked at, in radii.
+    const NEAR: f64 = 2.0;
+    /// Most of the normals that may lie along the vessel against across it: a cap's do.
+    const FREE: f64 = 0.7;
+    /// Cosine of the most that `outward` may be turned.
+    const TURN: f64 = 0.35;
+    let mut covariance = Matrix3::zeros();
+    let tip = surface.mesh.vertices[vertex as usize];
+    let is_near = |t: &u32| {
+        surface.mesh.triangles[*t as usize]
+            .iter()
+            .any(|&v| (surface.mesh.vertices[v as usize] - tip).norm() < NEAR * radius)
+    };
+    for t in connected(surface, vertex, |t| is_near(&t)) {
+        let area = surface.mesh.area_vector(t);
+        covariance += area * area.transpose() / area.norm().max(f64::MIN_POSITIVE);
+    }
+    let eigen = covariance.symmetric_eigen();
+    let least = eigen.eigenvalues.imin();
+    let axis: Vector3<f64> = eigen.eigenvectors.column(least).into();
+    let others = (0..3).filter(|&i| i != least).map(|i| eigen.eigenvalues[i]);
+    let axis = if axis.dot(&outward) < 0.0 { -axis } else { axis };
+    let is_free = eigen.eigenvalues[least] < FREE * others.fold(f64::INFINITY, f64::min);
+    if is_free && axis.dot(&outward) > TURN { axis } else { outward }
+}
+
+/// The triangles that hang together with a vertex as far as they belong.
+fn connected(surface: &Surface, vertex: u32, belongs: impl Fn(u32) -> bool) -> Vec<u32> {
+    let corners = &surface.corners;
+    let mut seen = FxHashSet::default();
+    let mut found: Vec<u32> = Vec::new();
+    let mut queue: Vec<u32> = corners.star(vertex).map(|h| h / 3).collect();
+    while let Some(t) = queue.pop() {
+        if seen.insert(t) && belongs(t) {
+            found.push(t);
+            queue.extend([3 * t, 3 * t + 1, 3 * t + 2].map(|h| corners.opposite(h) / 3));
+        }
+    }
+    found
 }
 
 /// Width and direction of a chain's end, from the rings a few radii inward of its tip.
@@ -116,8 +162,10 @@ fn end_of(surface: &Surface, graph: &ReebGraph, chain: &Chain, at_start: bool) -
     let base = rings.last().map_or(ring.centroid, |ring| ring.centroid);
     let inward = (ring.centroid - base).try_normalize(1e-6 * ring.radius());
     let outward = inward.or_else(|| (tip - ring.centroid).try_normalize(0.0))?;
-    let radius = if short { median_radius(&rings) } else { ring.radius() };
-    Some(End { vertex, radius, outward, short })
+    // On a cap that a front came to aslant all rings but the last are small ones around its far side.
+    let widest = || rings.iter().map(LevelSet::radius).fold(0.0, f64::max);
+    let radius = if short { widest() } else { ring.radius() };
+    Some(End { vertex, radius, outward: along_vessel(surface, vertex, radius, outward), short })
 }
 
 /// Level sets from a chain's tip inward, up to and with the first that is `enough`.
@@ -159,12 +207,6 @@ fn rings_inward(
     rings
 }
 
-fn median_radius(rings: &[LevelSet]) -> f64 {
-    let mut radii: Vec<f64> = rings.iter().map(LevelSet::radius).collect();
-    radii.sort_by(f64::total_cmp);
-    radii.get(radii.len() / 2).copied().unwrap_or(0.0)
-}
-
 /// The vertices of the end: what lies around its cap down to half a radius below the tip, and
 /// triangles that face outward beside it, connected to its vertex.
 ///
@@ -175,7 +217,6 @@ fn cap_around(surface: &Surface, end: &End) -> Vec<bool> {
     /// Depth of the end, and how far from the tip it may reach, in radii.
     const DEPTH: f64 = 0.5;
     const NEAR: f64 = 2.5;
-    let corners = &surface.corners;
     let tip = surface.mesh.vertices[end.vertex as usize];
     let mut cap = vec![false; surface.mesh.vertices.len()];
     cap[end.vertex as usize] = true;
@@ -186,16 +227,8 @@ fn cap_around(surface: &Surface, end: &End) -> Vec<bool> {
         let high = [a, b, c].iter().all(|p| (tip - p).dot(&end.outward) < DEPTH * end.radius);
         near && (high || normal.dot(&end.outward) > FACING * normal.norm())
     };
-    let mut seen = std::collections::BTreeSet::new();
-    let mut queue: Vec<u32> = corners.star(end.vertex).map(|h| h / 3).collect();
-    while let Some(t) = queue.pop() {
-        if !seen.insert(t) || !belongs(t) {
-            continue;
-        }
-        for h in [3 * t, next(3 * t), next(next(3 * t))] {
-            cap[corners.origin(h) as usize] = true;
-            queue.push(corners.opposite(h) / 3);
-        }
+    for t in connected(surface, end.vertex, belongs) {
+        surface.mesh.triangles[t as usize].iter().for_each(|&v| cap[v as usize] = true);
     }
     cap
 }
