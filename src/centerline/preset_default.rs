@@ -204,20 +204,24 @@ fn trim_tips(track: &mut Track, from_level: Option<f64>, to_level: Option<f64>) 
     }
 }
 
-/// Fits the joints to all the wall around them.
+/// Fits the joints to all the wall around them; those that come to lie together are one, and fitted anew.
 fn fit_joints(
     grid: &TriangleGrid<'_>,
     network: &mut Network,
     control: &Control<'_>,
 ) -> Result<(), ExtractError> {
-    let seen = &*network;
-    let fit = |node: usize| {
-        control.cancel.check()?;
-        Ok(fit_joint(grid.surface(), seen, node))
-    };
-    let fitted = (0..seen.nodes.len()).into_par_iter().map(fit).collect::<Result<Vec<_>, ExtractError>>()?;
-    for (node, joint) in fitted.into_iter().enumerate().filter_map(|(node, joint)| Some((node, joint?))) {
-        place(grid, network, node, &joint);
+    let mut nodes: Vec<usize> = (0..network.nodes.len()).collect();
+    while !nodes.is_empty() {
+        let seen = &*network;
+        let fit = |node: &usize| {
+            control.cancel.check()?;
+            Ok(fit_joint(grid.surface(), seen, *node))
+        };
+        let fitted = nodes.par_iter().map(fit).collect::<Result<Vec<_>, ExtractError>>()?;
+        for (&node, joint) in nodes.iter().zip(fitted).filter_map(|(node, joint)| Some((node, joint?))) {
+            place(grid, network, node, &joint);
+        }
+        nodes = network.contract_close();
     }
     Ok(())
 }

@@ -134,24 +134,29 @@ impl Network {
         self.retain(&keep);
     }
 
-    /// Joins joints whose centres turned out to lie within half a radius of each other.
-    pub fn contract_close(&mut self) {
+    /// Joins joints whose centres turned out to lie within half a radius of each other; the nodes that stay.
+    pub fn contract_close(&mut self) -> Vec<usize> {
         const CLOSE: f64 = 0.5;
+        let mut joined = Vec::new();
         let mut keep = vec![true; self.tracks.len()];
         for (index, keep) in keep.iter_mut().enumerate() {
             let track = &self.tracks[index];
             let inner = track.from != track.to && !self.is_end(track.from) && !self.is_end(track.to);
             let (Some(a), Some(b)) = (self.anchor(track.from), self.anchor(track.to)) else { continue };
             if inner && (a.point - b.point).norm() < CLOSE * a.radius.max(b.radius) {
-                self.join(index);
+                joined.push(self.join(index));
                 *keep = false;
             }
         }
         self.retain(&keep);
+        joined.retain(|&node| !self.incident(node).is_empty());
+        joined.sort_unstable();
+        joined.dedup();
+        joined
     }
 
-    /// Makes the two nodes of a track one.
-    fn join(&mut self, track: usize) {
+    /// Makes the two nodes of a track one, which it returns.
+    fn join(&mut self, track: usize) -> usize {
         let (gone, stays) = (self.tracks[track].to, self.tracks[track].from);
         for other in &mut self.tracks {
             if other.from == gone {
@@ -161,6 +166,7 @@ impl Network {
                 other.to = stays;
             }
         }
+        stays
     }
 
     fn retain(&mut self, keep: &[bool]) {
