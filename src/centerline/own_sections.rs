@@ -21,6 +21,12 @@ use crate::centerline::graph::Branch;
 use crate::centerline::line_tree::{LineTree, Segment};
 use crate::centerline::triangle_grid::TriangleGrid;
 
+/// Fewest sides in a quarter of a section that show a wall; nothing tells of where that is but a few sides, as in a vessel of
+/// three edges across.
+const SIDES: usize = 4;
+/// Sine of a turn that is none.
+const STRAIGHT: f64 = 1e-6;
+
 /// A section that is one branch's own.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OwnSection {
@@ -33,8 +39,10 @@ pub struct OwnSection {
     pub radius: f64,
     /// The same of the wall, on which the vertices lie.
     pub wall_radius: f64,
-    /// Distance of the nearest quarter of the wall around the point; by as much more than that of the polygon's sides as
-    /// the wall's radius is than the polygon's. Infinite where the mesh is too coarse to tell.
+    /// Distance of the nearest quarter of the polygon's faces around the point.
+    pub facets: f64,
+    /// The same of the wall: by as much more as its radius is than the polygon's. Infinite where the mesh is too coarse to
+    /// tell.
     pub near: f64,
 }
 
@@ -61,8 +69,19 @@ pub fn own_sections(
         let own = clear && is_convex(&cut) && !is_shared(&cut, line, (number, place));
         own.then(|| {
             let wall_radius = wall_radius(surface, &cut, &centroid, radius);
-            let near = nearest_quarter(&cut) * (wall_radius / radius).max(1.0);
-            OwnSection { branch: number, place, offset: centroid.coords.norm(), radius, wall_radius, near }
+            let (middle, sides) = nearest_quarter(cut.sides().map(|(p, q, _)| [p.coords, q.coords]));
+            let shows_wall = sides >= SIDES;
+            let near = if shows_wall { middle * (wall_radius / radius).max(1.0) } else { f64::INFINITY };
+            let (facets, _) = nearest_quarter(faces(&cut).into_iter());
+            OwnSection {
+                branch: number,
+                place,
+                offset: centroid.coords.norm(),
+                radius,
+                wall_radius,
+                facets,
+                near,
+            }
         })
     };
     all.par_iter().filter_map(one).collect()
@@ -108,17 +127,12 @@ pub fn section_around(
     })
 }
 
-/// How far the sides of a section that are nearest to the origin lie from there, on a quarter of all the way around it;
-/// nothing tells of where that is but a few sides, as in a vessel of three edges across.
-fn nearest_quarter(cut: &Section) -> f64 {
-    /// Fewest sides that show a wall.
-    const SIDES: usize = 4;
+/// How far the sides of a section that are nearest to the origin lie from there, by their middles, on a quarter of all the way
+/// around it, and how many sides that are.
+fn nearest_quarter(sides: impl Iterator<Item = [Vector2<f64>; 2]>) -> (f64, usize) {
     // Of each side the distance of its middle, and the angle that it is seen under.
-    let seen = |(p, q, _): (Point2<f64>, Point2<f64>, u32)| {
-        let (p, q) = (p.coords, q.coords);
-        (0.5 * (p + q).norm(), p.perp(&q).atan2(p.dot(&q)).abs())
-    };
-    let mut sides: Vec<(f64, f64)> = cut.sides().map(seen).collect();
+    let seen = |[p, q]: [Vector2<f64>; 2]| (0.5 * (p + q).norm(), p.perp(&q).atan2(p.dot(&q)).abs());
+    let mut sides: Vec<(f64, f64)> = sides.map(seen).collect();
     sides.sort_by(|a, b| a.0.total_cmp(&b.0));
     let quarter = 0.25 * sides.iter().map(|side| side.1).sum::<f64>();
     let mut angle = 0.0;
@@ -126,10 +140,33 @@ fn nearest_quarter(cut: &Section) -> f64 {
         angle += side.1;
         angle >= quarter
     });
-    reached.filter(|&last| last + 1 >= SIDES).map_or(f64::INFINITY, |last| sides[last].0)
+    reached.map_or((f64::INFINITY, 0), |last| (sides[last].0, last + 1))
 }
 
-/// Whether a section fills most of what its tangents in a few directions enclose.
+/// A section's sides; those that go straight on are one, as the two triangles of a flat face show them.
+fn faces(cut: &Section) -> Vec<[Vector2<f64>; 2]> {
+    let sides: Vec<[Vector2<f64>; 2]> = cut.sides().map(|(p, q, _)| [p.coords, q.coords]).collect();
+    let straight =
+        |a: &[Vector2<f64>; 2], b: &[Vector2<f64>; 2]| turn(&(a[1] - a[0]), &(b[1] - b[0])).abs() < STRAIGHT;
+    let count = sides.len();
+    let first = (0..count).find(|&i| !straight(&sides[(i + count - 1) % count], &sides[i])).unwrap_or(0);
+    let mut faces: Vec<[Vector2<f64>; 2]> = Vec::with_capacity(count);
+    for side in sides[first..].iter().chain(&sides[..first]) {
+        match faces.last_mut() {
+            Some(last) if straight(last, side) => last[1] = side[1],
+            _ => faces.push(*side),
+        }
+    }
+    faces
+}
+
+/// Sine of the angle between two sides; of one without length 0.
+fn turn(a: &Vector2<f64>, b: &Vector2<f64>) -> f64 {
+    a.perp(b) / (a.norm() * b.norm()).max(f64::MIN_POSITIVE)
+}
+
+/// Whether a section fills most of what its tangents in a few directions enclose, or has no dent at all: a triangle's corners
+/// lie far from those tangents.
 fn is_convex(cut: &Section) -> bool {
     const DIRECTIONS: usize = 16;
     const FILLED: f64 = 0.85;
@@ -146,7 +183,14 @@ fn is_convex(cut: &Section) -> bool {
         (around - 2.0 * support[k] * turn.cos()) / turn.sin()
     };
     let enclosed: f64 = (0..DIRECTIONS).map(|k| 0.5 * support[k] * side(k)).sum();
-    cut.measure().area > FILLED * enclosed
+    cut.measure().area > FILLED * enclosed || has_no_dent(cut)
+}
+
+fn has_no_dent(cut: &Section) -> bool {
+    let ways: Vec<Vector2<f64>> = cut.sides().map(|(p, q, _)| q - p).collect();
+    let turns = ways.iter().zip(ways.iter().cycle().skip(1)).map(|(a, b)| turn(a, b));
+    let [least, most] = turns.fold([0.0_f64; 2], |[least, most], turn| [least.min(turn), most.max(turn)]);
+    least > -STRAIGHT || most < STRAIGHT
 }
 
 /// Whether the section around a point is another stretch's as well.

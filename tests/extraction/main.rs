@@ -12,3 +12,4 @@ mod picks;
 mod properties;
 mod sections;
 mod surfaces;
+mod topology;

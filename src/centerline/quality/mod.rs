@@ -21,6 +21,7 @@ use centeredness::Offsets;
 use coverage::Covered;
 pub use homotopy::Homotopy;
 use inside::Inside;
+use room::Against;
 
 /// What was measured of a whole result.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -76,11 +77,15 @@ impl Measured {
         let homotopy = Homotopy::of(surface, graph);
         let inside = inside::measure(grid, graph);
         let covered = coverage::measure(surface, tree, graph);
-        let tight = room::measure(graph, sections).map(|tight| tight.warning(index, graph));
-        let warnings = [homotopy.warning(index), inside.warning(index), covered.warning(index, tree), tight];
+        let tight = |against| room::measure(graph, sections, against);
+        let tight =
+            tight(Against::Wall).or_else(|| tight(Against::Facets)).map(|tight| tight.warning(index, graph));
+        let thick = thinness::first_thick(tree, graph);
+        let twice = thick.map(|thick| thick.warning(index));
+        let warnings =
+            [homotopy.warning(index), inside.warning(index), covered.warning(index, tree), tight, twice];
         let offsets = centeredness::measure(sections);
-        let thick = !thinness::is_thin(tree, graph);
-        let measured = Self { components: 1, homotopy, inside, offsets, covered, thick };
+        let measured = Self { components: 1, homotopy, inside, offsets, covered, thick: thick.is_some() };
         (measured, warnings.into_iter().flatten().collect())
     }
 
@@ -205,8 +210,12 @@ mod tests {
         assert_eq!(measured(&tube(), &wide(1.4, 30, 60)).1, ["radius"]);
         assert_eq!(measured(&tube(), &wide(1.4, 45, 50)).1, Vec::<&str>::new());
         // Of three sides nobody knows what they are of.
-        let coarse = closed_surface(&open_tube(20.0, 10, 3));
-        assert!(!measured(&coarse, &straight(0.0, 20.0, 0.0)).1.contains(&"radius"));
+        for sides in 3..=6 {
+            let coarse = closed_surface(&open_tube(20.0, 10, sides));
+            assert_eq!(measured(&coarse, &straight(0.0, 20.0, 0.0)).1, ["few-sides"], "{sides}");
+        }
+        let octagon = closed_surface(&open_tube(20.0, 10, 8));
+        assert_eq!(measured(&octagon, &straight(0.0, 20.0, 0.0)).1, Vec::<&str>::new());
     }
 
     #[test]
@@ -254,7 +263,11 @@ mod tests {
     #[test]
     fn a_line_that_passes_a_place_twice_is_not_thin() {
         let tube = tube();
-        let thin = |graph: &ComponentGraph| measured(&tube, graph).0.thinness;
+        let thin = |graph: &ComponentGraph| {
+            let (quality, warnings) = measured(&tube, graph);
+            assert_eq!(quality.thinness, !warnings.contains(&"not-thin"));
+            quality.thinness
+        };
         let axis = straight(0.0, 20.0, 0.0);
         let mut twice = axis.clone();
         twice.branches.push(twice.branches[0].clone());

@@ -7,16 +7,42 @@ use crate::centerline::component::ComponentGraph;
 use crate::centerline::graph::Warning;
 use crate::centerline::own_sections::OwnSection;
 
-/// Told radius over the distance of the wall from which on it does not fit.
-const TOO_WIDE: f64 = 1.25;
 /// Over how many of those distances it must not fit, in one stretch.
 const STRETCH: f64 = 3.0;
 /// Farthest between two sections of a stretch, in radii of the first: what has none between them, as a sac, is not spoken of.
 const GAP: f64 = 1.5;
 
+/// What a told radius is held against.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Against {
+    /// The wall as its vertices show it: no such sphere is in the vessel.
+    Wall,
+    /// The facets between them: a prism of six sides and less, or a tube that was sampled by as few.
+    Facets,
+}
+
+impl Against {
+    /// Told radius over the distance from which on it does not fit.
+    fn most(self) -> f64 {
+        match self {
+            Against::Wall => 1.25,
+            // A regular prism of 7 sides has 1.11, of 6 sides 1.155.
+            Against::Facets => 1.12,
+        }
+    }
+
+    fn distance(self, section: &OwnSection) -> f64 {
+        match self {
+            Against::Wall => section.near,
+            Against::Facets => section.facets,
+        }
+    }
+}
+
 /// The longest stretch of a line whose spheres do not fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tight {
+    against: Against,
     branch: usize,
     /// Its first and last point in the branch.
     places: [usize; 2],
@@ -26,14 +52,17 @@ pub struct Tight {
 }
 
 /// The stretch that is longest against the room that it has; `None` where all spheres fit, or but for single ones.
-pub fn measure(graph: &ComponentGraph, sections: &[OwnSection]) -> Option<Tight> {
-    let excess = |section: &OwnSection| graph.branches[section.branch].radii[section.place] / section.near;
+pub fn measure(graph: &ComponentGraph, sections: &[OwnSection], against: Against) -> Option<Tight> {
+    let most = against.most();
+    let excess = |section: &OwnSection| {
+        graph.branches[section.branch].radii[section.place] / against.distance(section)
+    };
     let way = |branch: usize, places: std::ops::RangeInclusive<usize>| -> f64 {
         graph.branches[branch].points[places].windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()
     };
     let together = |a: &OwnSection, b: &OwnSection| {
         a.branch == b.branch
-            && (excess(a) > TOO_WIDE) == (excess(b) > TOO_WIDE)
+            && (excess(a) > most) == (excess(b) > most)
             && way(a.branch, a.place..=b.place) < GAP * a.radius
     };
     let tight = |run: &[OwnSection]| {
@@ -43,9 +72,10 @@ pub fn measure(graph: &ComponentGraph, sections: &[OwnSection]) -> Option<Tight>
             let mut all: Vec<f64> = run.iter().map(of).collect();
             *all.select_nth_unstable_by(run.len() / 2, f64::total_cmp).1
         };
-        let (excess, near) = (median(&excess), median(&|section| section.near));
-        let found = Tight { branch: first.branch, places: [first.place, last.place], length, excess };
-        (excess > TOO_WIDE && length > STRETCH * near).then_some((found, length / near))
+        let (excess, near) = (median(&excess), median(&|section| against.distance(section)));
+        let places = [first.place, last.place];
+        let found = Tight { against, branch: first.branch, places, length, excess };
+        (excess > most && length > STRETCH * near).then_some((found, length / near))
     };
     let all = sections.chunk_by(together).filter_map(tight);
     all.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(tight, _)| tight)
@@ -56,11 +86,19 @@ impl Tight {
     pub fn warning(&self, index: usize, graph: &ComponentGraph) -> Warning {
         let points = &graph.branches[self.branch].points;
         let [from, to] = self.places.map(|place| points[place]);
+        let (code, what) = match self.against {
+            Against::Wall => ("radius", "the distance of the wall: no such spheres fit"),
+            Against::Facets => (
+                "few-sides",
+                "the distance of the facets: they are told through the vertices, as of a round vessel; where its sides are flat, \
+                 divide by as much",
+            ),
+        };
         Warning {
-            code: "radius",
+            code,
             detail: format!(
                 "on {:.4} of branch {} of component {index}, from [{:.4}, {:.4}, {:.4}] to [{:.4}, {:.4}, {:.4}], radii are {:.2} \
-                 times the distance of the wall: no such spheres fit",
+                 times {what}",
                 self.length, self.branch, from.x, from.y, from.z, to.x, to.y, to.z, self.excess
             ),
         }

@@ -7,9 +7,11 @@
 //! - no two stretches come nearer to each other than 0.05 `r`, except where they meet: within `r` along the same
 //!   branch, or both within the radius of a node that they share.
 
+use nalgebra::Point3;
 use rayon::prelude::*;
 
 use crate::centerline::component::ComponentGraph;
+use crate::centerline::graph::Warning;
 use crate::centerline::line_tree::{LineTree, Segment};
 
 /// Least length of a segment, in local radii.
@@ -19,14 +21,41 @@ const BACK: f64 = -0.985;
 /// Nearest that two stretches may come, in local radii.
 const APART: f64 = 0.05;
 
-/// Whether a component's line is thin. O(segments log segments) for lines that are.
-pub fn is_thin(line: &LineTree, graph: &ComponentGraph) -> bool {
+/// The first stretch of a component's line that is not thin; `None` for a thin line. O(segments log segments) for lines that
+/// are.
+pub fn first_thick(line: &LineTree, graph: &ComponentGraph) -> Option<Thick> {
     let segments = line.segments();
-    let long =
-        segments.iter().all(|segment| segment.length() > LEAST * segment.radii[0].max(segment.radii[1]));
-    let onward =
-        segments.windows(2).all(|two| two[0].branch != two[1].branch || !turns_back(&two[0], &two[1]));
-    long && onward && !(0..segments.len()).into_par_iter().any(|index| is_passed_again(line, graph, index))
+    let stands = |segment: &Segment| segment.length() <= LEAST * segment.radii[0].max(segment.radii[1]);
+    let returns = |index: usize| {
+        let next = segments.get(index + 1).filter(|next| next.branch == segments[index].branch);
+        next.is_some_and(|next| turns_back(&segments[index], next))
+    };
+    let is_thick =
+        |&index: &usize| stands(&segments[index]) || returns(index) || is_passed_again(line, graph, index);
+    let first = (0..segments.len()).into_par_iter().find_first(is_thick)?;
+    Some(Thick { branch: segments[first].branch, place: segments[first].ends[0] })
+}
+
+/// Where a line is not thin.
+#[derive(Debug, Clone, Copy)]
+pub struct Thick {
+    branch: usize,
+    place: Point3<f64>,
+}
+
+impl Thick {
+    /// That of component `index`.
+    pub fn warning(&self, index: usize) -> Warning {
+        let Self { branch, place } = self;
+        Warning {
+            code: "not-thin",
+            detail: format!(
+                "branch {branch} of component {index} stands still, turns back, or runs where the line runs elsewhere, from \
+                 [{:.4}, {:.4}, {:.4}] on: branches may be told twice",
+                place.x, place.y, place.z
+            ),
+        }
+    }
 }
 
 fn turns_back(first: &Segment, second: &Segment) -> bool {
