@@ -72,7 +72,9 @@ pub fn own_sections(
             let (middle, sides) = nearest_quarter(cut.sides().map(|(p, q, _)| [p.coords, q.coords]));
             let shows_wall = sides >= SIDES;
             let near = if shows_wall { middle * (wall_radius / radius).max(1.0) } else { f64::INFINITY };
-            let (facets, _) = nearest_quarter(faces(&cut).into_iter());
+            let faces = faces(&cut);
+            let as_sides = faces.len() == cut.points.len();
+            let facets = if as_sides { middle } else { nearest_quarter(faces.into_iter()).0 };
             OwnSection {
                 branch: number,
                 place,
