@@ -188,5 +188,27 @@ async fn an_issuer_that_never_answered_is_told_by_readiness() {
         let (status, body) = ready(service).await;
         assert!(status == 200 && body.get("warnings").is_none(), "{body}");
     }
-    assert_eq!(alone.log().matches("not ready").count(), 1, "{}", alone.log());
+    let log = alone.log_with("no token is let in until they come").await;
+    assert!(log.contains("no token is let in until they come"), "{log}");
+    assert!(log.matches("not ready").count() == 1 && !log.contains("stay those known before"), "{log}");
+}
+
+#[tokio::test]
+async fn an_issuer_that_withdraws_all_its_keys_is_told_by_readiness() {
+    let signer = Signer::new("one", Algorithm::ES256);
+    let token = signer.sign(&claims("anna", "read"));
+    let keys = Keys::new(set(&[&signer]));
+    let service = Service::start(&arguments(&served(&keys).await));
+    until(&service, &token, 200).await;
+    assert_eq!(ready(&service).await.0, 200);
+    // None that signatures can be checked with.
+    keys.put(StatusCode::OK, json!({"keys": [{"kty": "oct", "k": "c2VjcmV0"}]}).to_string());
+    // The keys in force are asked for again where a token names another.
+    let unknown = Signer::new("two", Algorithm::ES256).sign(&claims("anna", "read"));
+    while list(&service, &token).await.status() != 401 {
+        list(&service, &unknown).await;
+        tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+    }
+    let (status, body) = ready(&service).await;
+    assert!(status == 503 && body["detail"].as_str().unwrap().contains("or it has none"), "{body}");
 }
