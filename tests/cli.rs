@@ -61,7 +61,13 @@ fn a_phantom_is_extracted_and_measured_against_its_line() {
 
     let document = read_json(&fs::read(folder.join("line.json")).unwrap()).unwrap();
     assert_eq!(document.source.name, None, "a file's name may tell of a patient");
-    for (given, name) in [("case 7", Some("case 7")), ("../ward/doe.stl", Some("doe.stl")), ("a/", None)] {
+    for (given, name) in [
+        ("case 7", Some("case 7")),
+        ("../ward/doe.stl", Some("doe.stl")),
+        ("a/", None),
+        ("../..", None),
+        ("..doe", Some("..doe")),
+    ] {
         done(folder, &["extract", "vessel.stl", "-o", "named.json", "--name", given]);
         let named = read_json(&fs::read(folder.join("named.json")).unwrap()).unwrap();
         assert_eq!(named.source.name.as_deref(), name);
@@ -177,6 +183,9 @@ fn help_lists_every_parameter_with_unit_range_and_default() {
         assert!(help.contains(spec.doc), "{}", spec.name);
     }
     assert!(help.contains("[unit: diagonal; 0.0005 to 0.2; default: 0.025; preset paper only]"), "{help}");
+    let help = text(&done(Path::new("."), &["phantom", "--help"]).stdout);
+    let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(help.contains("in voxels [default: 0, and 0.2 for --noise alone]"), "{help}");
 }
 
 #[test]
@@ -188,11 +197,17 @@ fn a_failure_is_one_line_and_leaves_no_file() {
     let whole = fs::read(folder.join("vessel.stl")).unwrap();
     fs::write(folder.join("half.stl"), &whole[..whole.len() / 2]).unwrap();
     fs::write(folder.join("kept.json"), b"an older result").unwrap();
+    fs::write(folder.join("mesh.stl.gz"), b"\x1f\x8b\x08\0\0\0\0\0\0\x03").unwrap();
     let before = files(folder);
     for (words, expected) in [
         (vec!["nothing.stl", "-o", "out.json"], "cannot read nothing.stl"),
         (vec!["picture.png", "-o", "out.json"], "PNG"),
         (vec!["empty.stl", "-o", "out.json"], "empty"),
+        (
+            vec!["mesh.stl.gz", "-o", "out.json"],
+            "gzip-compressed data, not a mesh that is read here; unpack it",
+        ),
+        (vec!["vessel.json", "-o", "out.json"], "vessel.json is a centerline, the result of an extraction"),
         (vec!["half.stl", "-o", "kept.json"], "ends early"),
         (vec!["vessel.stl", "-o", "out.vtp"], ".json, .glb or .gltf"),
         (vec!["vessel.stl", "-o", "out"], ".json, .glb or .gltf"),
@@ -211,6 +226,11 @@ fn a_failure_is_one_line_and_leaves_no_file() {
     let line = failure(folder, &["compare", "vessel.json", "vessel.stl"]);
     assert!(line.contains("neither JSON nor XML") && line.contains("-o LINE.json"), "{line}");
     failure(folder, &["phantom", "tree", "--voxel=9", "-o", "coarse"]);
+    let line = failure(folder, &["phantom", "bigtree", "--coarse", "-o", "coarse"]);
+    assert!(
+        line.contains("a voxel of 1.05 mm is too coarse") && line.contains("leave --coarse out"),
+        "{line}"
+    );
     failure(folder, &["phantom", "tube", "-o", "no/such/prefix"]);
     assert_eq!(files(folder), before);
 }
@@ -219,12 +239,27 @@ fn a_failure_is_one_line_and_leaves_no_file() {
 fn wrong_arguments_are_one_line_too() {
     for (words, expected) in [
         (vec![], "subcommand"),
-        (vec!["extrct"], "extract"),
+        (vec!["extrct"], "unrecognized subcommand 'extrct'; a similar subcommand exists: 'extract'"),
         (vec!["extract"], "<MESH>"),
         (vec!["extract", "a.stl"], "--output <OUT>"),
         (vec!["extract", "a.stl", "-o", "b.json", "--preset", "best"], "paper"),
         (vec!["extract", "a.stl", "-o", "b.json", "--units", "furlong"], "mm, cm, m, um or in"),
-        (vec!["extract", "a.stl", "-o", "b.json", "--omga", "0.8"], "--omega"),
+        (
+            vec!["extract", "a.stl", "-o", "b.json", "--omga", "0.8"],
+            "found; a similar argument exists: '--omega'; ",
+        ),
+        (vec!["extract", "a.stl", "-o", "b.json", "--smoothing", "true"], "as --smoothing=BOOL"),
+        (vec!["extract", "a.stl", "-o", "b.json", "--threads", "-1"], "give a whole number, 0 or more"),
+        (
+            vec!["phantom", "tree", "-o", "a", "--noise", "-1"],
+            "'-1' is no argument; a value of --noise is tied to it, as --noise=VOXELS",
+        ),
+        (vec!["phantom", "tree", "-o", "a", "--noise", "-0.4"], "'-0.4' is no argument; a value of --noise"),
+        (vec!["phantom", "tree", "-o", "a", "--noise=-1"], "noise of -1 voxels is not a number from 0 to 1"),
+        (vec!["phantom", "tree", "-o", "a", "--voxel", "-1"], "a voxel of -1 mm is not a length"),
+        (vec!["phantom", "tree", "-o", "a", "-x"], "unexpected argument '-x' found; --help"),
+        (vec!["serve", "--workers", "-1"], "give a whole number, 1 or more"),
+        (vec!["serve", "--tls-cert", "a"], "--tls-cert needs --tls-key beside it"),
         (vec!["phantom", "octopus", "-o", "a"], "octopus"),
         (vec!["phantom", "tree", "-o", "a", "--coarse", "--voxel", "1"], "--voxel"),
         (vec!["compare", "a.json"], "RESULT"),
@@ -281,9 +316,63 @@ fn phantoms_have_the_faults_that_were_asked_for() {
 fn an_empty_list_is_told_beside_it() {
     let folder = tempfile::tempdir().unwrap();
     for (what, hint) in [("keys", "keys add NAME"), ("webhooks", "webhooks add NAME")] {
+        // Nothing is made by looking, and a folder that is not there has no empty list.
+        for data in [&[][..], &["--data", "nope"]] {
+            for act in [&["list"][..], &["rotate", "pacs"]] {
+                let line = failure(folder.path(), &[&[what], act, data].concat());
+                assert!(line.contains("there is no data folder") && line.contains("--data"), "{line}");
+            }
+        }
+        assert!(files(folder.path()).is_empty());
+        let named = failure(folder.path(), &[what, "list", &format!("--{what}"), "nope.json"]);
+        assert!(named.contains("nope.json is not there") && named.contains(hint), "{named}");
+    }
+    fs::create_dir(folder.path().join("data")).unwrap();
+    for (what, hint) in [("keys", "keys add NAME"), ("webhooks", "webhooks add NAME")] {
         let output = done(folder.path(), &[what, "list"]);
         assert!(output.stdout.is_empty() && text(&output.stderr).contains(hint), "{what}: {output:?}");
+        let output = done(folder.path(), &[what, "list", "--data", "data"]);
+        assert!(text(&output.stderr).contains("--data data' "), "{output:?}");
     }
+}
+
+#[test]
+fn what_is_made_where_nobody_said_is_told_to_be_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let key = ["keys", "add", "pacs", "--scope", "read"];
+    let output = done(folder.path(), &key);
+    assert!(text(&output.stdout).starts_with("rosaline_"));
+    assert!(
+        text(&output.stderr).contains("what was added is in data/keys.json; a service with another --data"),
+        "{output:?}"
+    );
+    let output = done(folder.path(), &[&key[..], &["--data", "other"]].concat());
+    assert!(output.stderr.is_empty() && folder.path().join("other/keys.json").is_file(), "{output:?}");
+}
+
+/// It may be right, as its key may be made later: then it is told, and the target is added all the same.
+#[test]
+fn a_target_for_an_owner_whom_nobody_knows_is_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    done(folder.path(), &["keys", "add", "pacs", "--scope", "read", "--data", "data"]);
+    done(folder.path(), &["keys", "add", "old", "--scope", "read", "--data", "data"]);
+    done(folder.path(), &["keys", "revoke", "old", "--data", "data"]);
+    let url = ["--url", "http://127.0.0.1:1/", "--data", "data"];
+    for (owner, doubt) in [
+        ("pacs", ""),
+        ("old", ""),
+        ("https://login.example#anna", ""),
+        ("nobody", "warning: no key in data/keys.json has the name 'nobody'"),
+    ] {
+        let words = ["webhooks", "add", &owner.replace([':', '/', '#'], "."), "--owner", owner];
+        let said = text(&done(folder.path(), &[&words[..], &url].concat()).stderr);
+        assert!(said.contains(doubt) && said.is_empty() == doubt.is_empty(), "{owner}: {said}");
+    }
+    let words = ["webhooks", "add", "more", "--owner", "pacs", "--keys", "elsewhere.json"];
+    let said = text(&done(folder.path(), &[&words[..], &url].concat()).stderr);
+    assert!(said.contains("no key in elsewhere.json"), "{said}");
+    failure(folder.path(), &[&["webhooks", "add", "x", "--owner", ""][..], &url].concat());
+    assert_eq!(text(&done(folder.path(), &["webhooks", "list"]).stdout).lines().count(), 5);
 }
 
 #[test]

@@ -118,6 +118,11 @@ fn what_is_wrong_in_a_file_is_told_with_its_line() {
         ("# the first\ninsecure = \"yes\"\n", 2, "'insecure' is true or false"),
         ("workers = 1\nworkers = 2\n", 2, "duplicate key"),
         ("workers = 1\nlisten =\n", 2, "no TOML"),
+        ("workers = 1\nmax_upload = 1\n", 2, "there is no setting 'max_upload'; 'max-upload' is one"),
+        ("ROSALINE_MAX_UPLOAD = 1\n", 1, "'max-upload' is one"),
+        ("\ntls-cert = \"cert.pem\"\n", 2, "--tls-cert needs --tls-key beside it"),
+        ("jwks = \"x\"\n", 1, "--jwks needs --jwt-issuer beside it"),
+        ("jwt-issuer = \"x\"\njwks = \"x\"\n", 1, "--jwt-issuer needs --jwt-audience beside it"),
     ] {
         let (_folder, path) = file(text);
         for subcommand in ["serve", "doctor"] {
@@ -129,6 +134,30 @@ fn what_is_wrong_in_a_file_is_told_with_its_line() {
                 "{text}: {said}"
             );
         }
+    }
+    // What only a start, or a look at the machine, finds wrong; the doctor has findings beside it.
+    for (text, lines, what) in [
+        ("# for all\nlisten = 18081\n", &[2][..], "18081"),
+        ("workers = 3\n\nthreads = 2\n", &[1, 3], "3 workers"),
+    ] {
+        let (_folder, path) = file(text);
+        let lines: Vec<String> = lines.iter().map(|line| format!("{path}, line {line}")).collect();
+        let blamed = lines.join(" and ") + ": ";
+        for words in [&["serve"][..], &["serve", "--print-config"], &["doctor"]] {
+            let output = rosaline(&[words, &["--config", &path]].concat(), &[]);
+            let said = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap()).concat();
+            let found = said.lines().find(|line| line.contains(&blamed));
+            assert!(found.is_some_and(|line| line.contains(what)), "{words:?}: {said}");
+        }
+    }
+    let (_folder, path) = file("workers = 3\nkeys = \"/nowhere/keys.json\"\n");
+    for (words, blamed) in [
+        (&["--threads", "2"][..], format!("{path}, line 1: 3 workers")),
+        (&[], format!("{path}, line 2: the key file /nowhere/keys.json is not there")),
+    ] {
+        let output = rosaline(&[&["serve", "--config", &path], words].concat(), &[]);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(said.contains(&blamed), "{said}");
     }
     let output = rosaline(&["serve", "--config", "/nowhere/rosaline.toml"], &[]);
     let said = String::from_utf8(output.stderr).unwrap();

@@ -200,6 +200,7 @@ async fn keys_and_addresses_that_do_not_fit_are_told() {
     keys.args(["keys", "revoke", "pacs", "--data"]).arg(data.path());
     assert!(keys.output().unwrap().status.success());
     wrong(&mut doctor(data.path()), "every key is revoked");
+    wrong(&mut doctor(data.path()), &format!("keys add NAME --scope submit,read --keys {}'", file.display()));
     fs::write(&file, "{").unwrap();
     wrong(&mut doctor(data.path()), "nobody is let in");
     wrong(doctor(data.path()).args(["--keys", "/nowhere/keys.json"]), "--keys /nowhere/keys.json");
@@ -226,7 +227,8 @@ async fn tokens_certificates_and_targets_that_do_not_fit_are_told() {
         "the service does not start",
     );
     let (well, said) = asked(doctor(data.path()).args(issuer).arg("http://127.0.0.1:1/keys").args(open));
-    assert!(well && said.contains("tokens of https://id.example are let in"), "{said}");
+    let keys = "well   tokens of https://id.example are checked by the keys at http://127.0.0.1:1/keys; they were not asked for";
+    assert!(well && said.contains(keys) && !said.contains("are let in"), "{said}");
     assert!(!said.contains("no key was made") && !said.contains("--insecure"), "{said}");
     let discovered = |issuer| ["--jwt-issuer", issuer, "--jwt-audience", "rosaline"];
     wrong(
@@ -251,6 +253,10 @@ async fn tokens_certificates_and_targets_that_do_not_fit_are_told() {
         assert!(!well && said.contains("WRONG  the TLS certificate") && said.contains(word), "{said}");
     }
     wrong(doctor(data.path()).args(["--webhooks", "/nowhere/targets.json"]), "targets.json is not there");
+    // One that cannot be looked at is not one that is not there, for the doctor as for a start.
+    let long = data.path().join("x".repeat(300));
+    wrong(doctor(data.path()).arg("--webhooks").arg(&long), "cannot be used");
+    wrong(doctor(data.path()).arg("--keys").arg(&long), "cannot be used");
     file("webhooks.json", "{");
     wrong(&mut doctor(data.path()), "add the targets again");
 }

@@ -4,11 +4,13 @@
 //!     load uploads [CLIENTS] [RINGS]     meshes of 1000 × RINGS vertices posted at the same time; peak memory
 //!     load mix [CLIENTS] [SECONDS]       uploads, polls, downloads, cancels, slow and broken connections at once
 //!     load upload [RINGS]                one mesh of 500 × RINGS vertices to its 201, beside a file that is synced
+//!     load beside [LARGE] [RINGS]        dry runs of a small mesh beside none to LARGE of 1000 × RINGS vertices
 //!     load jobs [JOBS] [CLIENTS]         small jobs to their end, beside the same work in a loop; memory
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a tool for developers")]
 
 use std::time::Duration;
 
+mod beside;
 mod jobs;
 #[path = "../../tests/common/meshes.rs"]
 #[allow(dead_code, reason = "shared with the tests, which use all of it")]
@@ -32,8 +34,9 @@ fn main() {
         Some("uploads") => uploads::run(number(1, 8), number(2, 1000)),
         Some("mix") => mixed::run(number(1, 200), Duration::from_secs(number(2, 300).into())),
         Some("upload") => upload::run(number(1, 1000)),
+        Some("beside") => beside::run(number(1, 2), number(2, 1000)),
         Some("jobs") => jobs::run(number(1, 1000), number(2, 16)),
-        _ => println!("load status|uploads|mix|upload|jobs, with numbers as in examples/load/main.rs"),
+        _ => println!("load status|uploads|mix|upload|beside|jobs, with numbers as in examples/load/main.rs"),
     }
 }
 

@@ -8,6 +8,11 @@ pub enum ExtractError {
     #[error("all {triangles} triangles have no area; check the unit and the exporter of the mesh")]
     AllDegenerate { triangles: usize },
     #[error(
+        "the rest of the mesh has no size beside {count} of its vertices, so far out do they lie (vertex {first}); repair \
+         them and export the mesh again"
+    )]
+    FarOut { count: usize, first: String },
+    #[error(
         "{count} vertices have a coordinate that is not a finite number (vertex {first}); export the mesh again"
     )]
     NotFinite { count: usize, first: String },
@@ -33,6 +38,7 @@ impl ExtractError {
         match self {
             ExtractError::NoTriangles => "no-triangles",
             ExtractError::AllDegenerate { .. } => "all-degenerate",
+            ExtractError::FarOut { .. } => "far-out",
             ExtractError::NotFinite { .. } => "not-finite",
             ExtractError::OutOfRange { .. } => "out-of-range",
             ExtractError::NotTubular { .. } => "not-tubular",

@@ -339,6 +339,9 @@ impl From<PreparationError> for ExtractError {
         match error {
             PreparationError::NoTriangles => ExtractError::NoTriangles,
             PreparationError::AllDegenerate { triangles } => ExtractError::AllDegenerate { triangles },
+            PreparationError::FarOut(sites) => {
+                ExtractError::FarOut { count: sites.count, first: sites.list() }
+            }
             PreparationError::NotFinite(sites) => {
                 ExtractError::NotFinite { count: sites.count, first: sites.list() }
             }

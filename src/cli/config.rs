@@ -26,6 +26,14 @@ const VARIABLE: &str = "ROSALINE_CONFIG";
 const NO_KEYS: [&str; 5] = [FLAG, "print-config", "alive", "help", "version"];
 /// After it no flag comes.
 const END: &str = "--";
+/// Flags with another that they need, as `requires` of [`super::serve::Args`] has it, which clap keeps to itself.
+const HALVES: &[[&str; 2]] = &[
+    ["tls-cert", "tls-key"],
+    ["tls-key", "tls-cert"],
+    ["jwt-issuer", "jwt-audience"],
+    ["jwt-audience", "jwt-issuer"],
+    ["jwks", "jwt-issuer"],
+];
 
 /// What is wrong with the file.
 #[derive(Debug, thiserror::Error)]
@@ -35,9 +43,9 @@ pub(super) enum ConfigError {
     #[error("{path}, line {line}: this is no TOML: {what}")]
     Syntax { path: String, line: usize, what: String },
     #[error(
-        "{path}, line {line}: there is no setting '{key}'; 'rosaline serve --print-config' lists them, with their values"
+        "{path}, line {line}: there is no setting '{key}'{meant}; 'rosaline serve --print-config' lists them, with their values"
     )]
-    Unknown { path: String, line: usize, key: String },
+    Unknown { path: String, line: usize, key: String, meant: String },
     #[error("{path}, line {line}: '{key}' is {expected}")]
     Kind { path: String, line: usize, key: String, expected: &'static str },
 }
@@ -94,7 +102,9 @@ impl Config {
             let arg = match of(subcommand) {
                 Some(arg) => arg,
                 None if command.find_subcommand(SERVE).and_then(of).is_some() => continue,
-                None => return Err(ConfigError::Unknown { path: shown, line, key }),
+                None => {
+                    return Err(ConfigError::Unknown { path: shown, line, meant: meant(command, &key), key });
+                }
             };
             let flag = flag(arg, &key, value.get_ref());
             let flag = flag.map_err(|expected| ConfigError::Kind {
@@ -136,18 +146,48 @@ impl Config {
         arguments: &[OsString],
     ) -> Option<String> {
         let Some(ContextValue::String(named)) = error.get(ContextKind::InvalidArg) else { return None };
-        let named = named.split([' ', '=']).next()?.strip_prefix("--")?;
-        if flags(arguments).iter().any(|argument| is_of(argument, named)) {
+        self.place(long_of(named)?, command, arguments)
+    }
+
+    /// The same of settings that something is wrong with together.
+    pub(super) fn places_of(
+        &self,
+        settings: &[&str],
+        command: &Command,
+        arguments: &[OsString],
+    ) -> Option<String> {
+        let places = settings.iter().filter_map(|setting| self.place(setting, command, arguments));
+        let places: Vec<String> = places.collect();
+        (!places.is_empty()).then(|| places.join(" and "))
+    }
+
+    fn place(&self, key: &str, command: &Command, arguments: &[OsString]) -> Option<String> {
+        if flags(arguments).iter().any(|argument| is_of(argument, key)) {
             return None;
         }
         let subcommand = command.find_subcommand(arguments.get(1)?);
-        let arg = subcommand.and_then(|each| each.get_arguments().find(|arg| arg.get_long() == Some(named)));
+        let arg = subcommand.and_then(|each| each.get_arguments().find(|arg| arg.get_long() == Some(key)));
         let variable = arg.and_then(Arg::get_env).filter(|name| std::env::var_os(name).is_some());
         if let Some(variable) = variable {
             return Some(format!("the variable {}", variable.display()));
         }
-        let setting = self.settings.iter().find(|setting| setting.key == named)?;
+        let setting = self.settings.iter().find(|setting| setting.key == key)?;
         Some(format!("{}, line {}", self.path.display(), setting.line))
+    }
+
+    /// The flag that was given and the one that clap misses beside it.
+    pub(super) fn half_of(
+        &self,
+        error: &clap::Error,
+        command: &Command,
+        arguments: &[OsString],
+    ) -> Option<&'static [&'static str; 2]> {
+        let Some(ContextValue::Strings(missing)) = error.get(ContextKind::InvalidArg) else { return None };
+        HALVES.iter().find(|[given, wanted]| {
+            let is_given = flags(arguments).iter().any(|argument| is_of(argument, given))
+                || self.place(given, command, arguments).is_some();
+            is_given && missing.iter().any(|named| long_of(named) == Some(wanted))
+        })
     }
 
     fn sets(&self, key: &str) -> bool {
@@ -182,6 +222,19 @@ impl Config {
 fn subcommand<'c>(command: &'c Command, arguments: &[OsString]) -> Option<&'c Command> {
     let name = arguments.get(1)?.to_str()?;
     SUBCOMMANDS.contains(&name).then(|| command.find_subcommand(name))?
+}
+
+/// The name of a flag as clap shows it: `--name <VALUE>`.
+fn long_of(shown: &str) -> Option<&str> {
+    shown.split([' ', '=']).next()?.strip_prefix("--")
+}
+
+/// For one who spells a key as the variable, what it is called here.
+fn meant(command: &Command, key: &str) -> String {
+    let hyphened = key.to_ascii_lowercase().replace('_', "-");
+    let mut known = command.find_subcommand(SERVE).into_iter().flat_map(keys).filter_map(Arg::get_long);
+    let found = known.find(|long| *long == hyphened || hyphened.strip_prefix("rosaline-") == Some(long));
+    found.map_or_else(String::new, |long| format!("; '{long}' is one"))
 }
 
 /// The flags that are keys of a file.
@@ -235,4 +288,30 @@ fn quoted(arg: &Arg, value: &str) -> String {
     }
     // TOML's basic strings have JSON's escapes.
     serde_json::Value::from(value).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::error::ErrorKind;
+
+    use super::*;
+
+    #[test]
+    fn every_flag_that_needs_another_is_known() {
+        let command = super::super::command();
+        let serve = command.find_subcommand(SERVE).unwrap();
+        let needing = |arg: &&Arg| {
+            let long = arg.get_long().unwrap();
+            // One of them can be read.
+            ["1", "1GiB", "text"].iter().any(|value| {
+                let words = ["rosaline".to_owned(), SERVE.to_owned(), format!("--{long}={value}")];
+                let parsed = command.clone().try_get_matches_from(words);
+                parsed.is_err_and(|error| error.kind() == ErrorKind::MissingRequiredArgument)
+            })
+        };
+        let found: Vec<&str> = keys(serve).filter(needing).filter_map(Arg::get_long).collect();
+        let mut known: Vec<&str> = HALVES.iter().map(|[given, _]| *given).collect();
+        known.sort_by_key(|given| found.iter().position(|long| long == given));
+        assert_eq!(found, known);
+    }
 }

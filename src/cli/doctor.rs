@@ -7,14 +7,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use super::Failure;
-use super::serve::{self, settings};
+use super::serve::{self, key_file, settings, target_file};
+use super::{Failure, Places};
 use crate::http::Tls;
-use crate::http::access::{Discovery, Issuer, KeyError, KeyFile};
+use crate::http::access::{Discovery, Issuer, JwksSource, KeyError};
 use crate::jobs::checkup::{self, Finding};
 use crate::jobs::isolation::program;
 use crate::jobs::{Clock, SystemClock};
-use crate::outbound::webhooks::TargetFile;
+use crate::outbound::webhooks::TargetError;
 
 /// How long an issuer may take to answer.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -23,7 +23,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 ///
 /// # Errors
 /// When something is wrong.
-pub fn run(args: serve::Args) -> Result<(), Failure> {
+pub fn run(args: serve::Args, places: Places<'_>) -> Result<(), Failure> {
     let in_use = checkup::is_in_use(&args.data);
     let now = SystemClock.now_ms();
     let mut found = checkup::folder(&args.data);
@@ -39,13 +39,18 @@ pub fn run(args: serve::Args) -> Result<(), Failure> {
     found.extend(runtime.block_on(issuer(&args)));
     found.extend(certificate(&args));
     found.extend(targets(&args));
-    found.extend(address(&args, has_keys || args.jwt_issuer.is_some(), in_use));
+    found.extend(address(&args, has_keys || args.jwt_issuer.is_some(), in_use, places));
     found.push(audit(&args));
-    found.extend(bounds(&args));
+    found.extend(bounds(&args, places));
     found.push(clock(now));
     found.push(descriptors(args.max_uploads.get() as u64));
     found.push(process());
     tell(&found)
+}
+
+/// What is wrong with settings, behind where they come from.
+fn of(settings: &[&str], what: impl std::fmt::Display, places: Places<'_>) -> String {
+    places(settings).map_or_else(|| what.to_string(), |places| format!("{places}: {what}"))
 }
 
 fn tell(found: &[Finding]) -> Result<(), Failure> {
@@ -99,20 +104,29 @@ fn room(args: &serve::Args) -> Finding {
 
 /// Whether there are keys, and what is to be said of them.
 fn keys_of(args: &serve::Args, has_owners: bool) -> (bool, Vec<Finding>) {
-    let path = args.keys.clone().unwrap_or_else(|| args.data.join("keys.json"));
-    if !path.exists() {
-        return (false, without_keys(args, &path, has_owners).into_iter().collect());
-    }
-    let mut found: Vec<Finding> = checkup::secrecy(&path, "the key file", "600").into_iter().collect();
-    found.push(match KeyFile::new(&path).list() {
+    let file = key_file(args);
+    let keys = match file.read() {
+        Ok(None) => return (false, without_keys(args, file.path(), has_owners).into_iter().collect()),
+        Err(error @ KeyError::Named { .. }) => {
+            return (false, vec![Finding::wrong(error.to_string(), "the service does not start")]);
+        }
+        Ok(Some(keys)) => Ok(keys),
+        Err(error) => Err(error),
+    };
+    let mut found: Vec<Finding> = checkup::secrecy(file.path(), "the key file", "600").into_iter().collect();
+    found.push(match keys {
         Err(error) => Finding::wrong(
             error.to_string(),
             "nobody is let in: put a copy back, or remove it and make new keys",
         ),
         Ok(keys) => match keys.iter().filter(|key| key.revoked.is_none()).count() {
-            0 => {
-                Finding::wrong("every key is revoked: nobody is let in", "make one with 'rosaline keys add'")
-            }
+            0 => Finding::wrong(
+                "every key is revoked: nobody is let in",
+                format!(
+                    "make one with 'rosaline keys add NAME --scope submit,read --keys {}'",
+                    file.path().display()
+                ),
+            ),
             1 => Finding::Well("1 key is in force".to_owned()),
             active => Finding::Well(format!("{active} keys are in force")),
         },
@@ -122,21 +136,17 @@ fn keys_of(args: &serve::Args, has_owners: bool) -> (bool, Vec<Finding>) {
 
 /// What is to be said where there is no file of keys.
 fn without_keys(args: &serve::Args, path: &Path, has_owners: bool) -> Option<Finding> {
-    let path = path.display().to_string();
-    let no_start = "the service does not start";
-    if args.keys.is_some() {
-        return Some(Finding::wrong(KeyError::Named { path }.to_string(), no_start));
-    }
     if args.jwt_issuer.is_some() {
         return None;
     }
     if has_owners && !args.insecure {
-        return Some(Finding::wrong(KeyError::Lost { path }.to_string(), no_start));
+        let lost = KeyError::Lost { path: path.display().to_string() };
+        return Some(Finding::wrong(lost.to_string(), "the service does not start"));
     }
     Some(Finding::Note("no key was made: whoever reaches the address may do everything".to_owned()))
 }
 
-/// Whether the issuer's keys can be read; a URL that was given is not asked, an issuer that is to say it is.
+/// Whether the issuer's keys can be read. A URL that was given is not asked; an issuer that is to say it is asked for it.
 async fn issuer(args: &serve::Args) -> Option<Finding> {
     let (issuer, audience) = (args.jwt_issuer.as_ref()?, args.jwt_audience.as_ref()?);
     let Some(keys) = &args.jwks else { return Some(discovered(issuer).await) };
@@ -145,7 +155,12 @@ async fn issuer(args: &serve::Args) -> Option<Finding> {
             "the issuer's keys come in the clear: whoever is in between can make tokens; use https"
                 .to_owned(),
         ),
-        Ok(_) => Finding::Well(format!("tokens of {issuer} are let in")),
+        Ok(_) => Finding::Well(match keys {
+            JwksSource::File(_) => format!("tokens of {issuer} are let in"),
+            JwksSource::Url(url) => {
+                format!("tokens of {issuer} are checked by the keys at {url}; they were not asked for")
+            }
+        }),
         Err(error) => Finding::wrong(error.to_string(), "the service does not start: see to --jwks"),
     })
 }
@@ -185,16 +200,19 @@ fn certificate(args: &serve::Args) -> Vec<Finding> {
 
 /// Whether the webhook targets can be read; none is asked.
 fn targets(args: &serve::Args) -> Vec<Finding> {
-    let path = args.webhooks.clone().unwrap_or_else(|| args.data.join("webhooks.json"));
-    if !path.exists() {
-        let missing =
-            || Finding::wrong(TargetFile::new(&path).missing().to_string(), "the service does not start");
-        return args.webhooks.iter().map(|_| missing()).collect();
-    }
+    let file = target_file(args);
+    let targets = match file.read() {
+        Ok(None) => return Vec::new(),
+        Err(error @ TargetError::Missing(_)) => {
+            return vec![Finding::wrong(error.to_string(), "the service does not start")];
+        }
+        Ok(Some(targets)) => Ok(targets),
+        Err(error) => Err(error),
+    };
     // It holds the secrets that messages are signed with.
     let mut found: Vec<Finding> =
-        checkup::secrecy(&path, "the file of webhook targets", "600").into_iter().collect();
-    found.push(match TargetFile::new(&path).list() {
+        checkup::secrecy(file.path(), "the file of webhook targets", "600").into_iter().collect();
+    found.push(match targets {
         Ok(targets) => Finding::Well(format!("{} webhook targets are told of jobs' ends", targets.len())),
         Err(error) => Finding::wrong(
             error.to_string(),
@@ -204,10 +222,11 @@ fn targets(args: &serve::Args) -> Vec<Finding> {
     found
 }
 
-fn address(args: &serve::Args, is_closed: bool, in_use: bool) -> Vec<Finding> {
+fn address(args: &serve::Args, is_closed: bool, in_use: bool, places: Places<'_>) -> Vec<Finding> {
     let resolved = args.listen.to_socket_addrs().ok().and_then(|mut all| all.next());
     let Some(address) = resolved else {
         let what = format!("--listen {} is no address of this machine", args.listen);
+        let what = of(&["listen"], what, places);
         return vec![Finding::wrong(what, "give HOST:PORT, 127.0.0.1:8080 for example")];
     };
     let mut found = vec![reach(address, is_closed, args)];
@@ -237,7 +256,10 @@ fn reach(address: SocketAddr, is_closed: bool, args: &serve::Args) -> Finding {
         }
         (false, false, false) => Finding::wrong(
             format!("other machines would reach {address} without a key: the service does not start"),
-            "make a key with 'rosaline keys add', or listen on 127.0.0.1",
+            format!(
+                "make a key with 'rosaline keys add NAME --scope submit,read --data {}', or listen on 127.0.0.1",
+                args.data.display()
+            ),
         ),
     }
 }
@@ -266,10 +288,13 @@ fn audit(args: &serve::Args) -> Finding {
 const CHECK_BYTES: u64 = 250;
 
 /// Whether the limits fit each other and the machine.
-fn bounds(args: &serve::Args) -> Vec<Finding> {
+fn bounds(args: &serve::Args, places: Places<'_>) -> Vec<Finding> {
     let settings = match settings(args) {
         Ok(settings) => settings,
-        Err(error) => return vec![Finding::wrong(error.to_string(), "change --workers or --threads")],
+        Err(error) => {
+            let what = of(&["workers", "threads"], error, places);
+            return vec![Finding::wrong(what, "change --workers or --threads")];
+        }
     };
     let runs = args.max_memory.0.saturating_mul(settings.workers.get() as u64);
     let check = args.max_upload.0.saturating_add(CHECK_BYTES.saturating_mul(args.max_triangles.get() as u64));

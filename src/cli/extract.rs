@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 use crate::centerline::{self, CancelToken, Control, Extraction, Parameters};
 use crate::http;
 use crate::jobs::{BadName, FileName};
-use crate::mesh::format::{self, Hint, Limits};
+use crate::mesh::format::{self, Format, Hint, Limits};
 use crate::mesh::{TriangleMesh, Units};
 use crate::output::{self, OutputFormat, ResultDocument, Source};
 
@@ -60,12 +60,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build()?;
 
     let start = Instant::now();
-    let bytes = files::read(&args.mesh)?;
-    let hint = Hint { extension: args.mesh.extension().and_then(|text| text.to_str()), content_type: None };
-    let read = || format::read(&bytes, hint, &Limits::default());
-    let (read, digest) = pool.join(read, || Sha256::digest(&bytes));
-    let ((mesh, format), sha256) = (read?, hexadecimal(&digest));
-    drop(bytes);
+    let (mesh, format, sha256) = read(&args.mesh, &pool)?;
     let reading = start.elapsed();
 
     let (extraction, stages) = extract(&mesh, &parameters, &pool)?;
@@ -84,6 +79,23 @@ pub fn run(args: Args) -> Result<(), Failure> {
     timings.push(("writing", start.elapsed()));
     tell(&document, args.verbose.then_some((args.timings, &timings[..])));
     Ok(())
+}
+
+/// The mesh in a file, its format, and the digest of its bytes.
+fn read(path: &Path, pool: &rayon::ThreadPool) -> Result<(TriangleMesh, Format, String), Failure> {
+    let bytes = files::read(path)?;
+    let hint = Hint { extension: path.extension().and_then(|text| text.to_str()), content_type: None };
+    let read = || format::read(&bytes, hint, &Limits::default());
+    let (read, digest) = pool.join(read, || Sha256::digest(&bytes));
+    match read {
+        Ok((mesh, format)) => Ok((mesh, format, hexadecimal(&digest))),
+        // JSON is taken for glTF.
+        Err(_) if output::is_result(&bytes) => Err(Failure::new(format!(
+            "{} is a centerline, the result of an extraction, and not a mesh; give the mesh itself",
+            path.display()
+        ))),
+        Err(error) => Err(Failure::new(http::unread(&error))),
+    }
 }
 
 /// As the service takes its parameter `name`; empty where there are only folders.

@@ -44,7 +44,7 @@ async fn ask(args: Args) -> Result<(), Failure> {
     let (path, state) = if args.alive { ("healthz", "alive") } else { ("readyz", "ready") };
     let answer = client.get(format!("{scheme}://{address}/{path}")).send().await;
     let answer = answer.map_err(|error| {
-        let cause = Failure::from(error.without_url()).0;
+        let cause = Failure::from(error.without_url()).message;
         Failure::new(format!("no service answers on {scheme}://{address}: {cause}"))
     })?;
     let status = answer.status();

@@ -6,16 +6,16 @@ use std::path::PathBuf;
 use clap::Subcommand;
 
 use super::Failure;
-use super::files::create_private;
+use super::operator_place::OperatorPlace;
 use crate::http::access::{KeyFile, Scope};
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]
     command: Command,
-    /// The service's data folder, in which the keys are; created where it is missing.
-    #[arg(long, env = "ROSALINE_DATA", default_value = "data", value_name = "DIR", global = true)]
-    data: PathBuf,
+    /// The service's data folder, in which the keys are [default: data]; `add` creates it where it is missing.
+    #[arg(long, env = "ROSALINE_DATA", value_name = "DIR", global = true)]
+    data: Option<PathBuf>,
     /// The file of the keys, where it is not keys.json in the data folder.
     #[arg(long, env = "ROSALINE_KEYS", value_name = "FILE", global = true)]
     keys: Option<PathBuf>,
@@ -44,17 +44,24 @@ enum Command {
 
 /// A running service takes changes over with its next request.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let path = match args.keys {
-        Some(path) => path,
-        None => {
-            create_private(&args.data)?;
-            args.data.join("keys.json")
-        }
-    };
-    let file = KeyFile::new(path);
+    let (data, named) = (args.data.as_deref(), args.keys.as_deref());
+    let place = OperatorPlace { data, named, flag: "--keys", name: "keys.json" };
     let mut out = std::io::stdout();
+    let file = match (&args.command, named) {
+        (Command::Add { .. }, _) | (_, None) => KeyFile::new(place.path()),
+        (_, Some(named)) => KeyFile::named(named),
+    };
     match args.command {
-        Command::Add { name, scope, inherit } => writeln!(out, "{}", file.add(&name, &scope, inherit)?)?,
+        Command::Add { .. } => place.make()?,
+        _ => place.check()?,
+    }
+    match args.command {
+        Command::Add { name, scope, inherit } => {
+            writeln!(out, "{}", file.add(&name, &scope, inherit)?)?;
+            if let Some(unsaid) = place.unsaid() {
+                writeln!(std::io::stderr(), "rosaline: note: {unsaid}")?;
+            }
+        }
         Command::Rotate { name } => writeln!(out, "{}", file.rotate(&name)?)?,
         Command::Revoke { name } => file.revoke(&name)?,
         Command::List => {
@@ -63,7 +70,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 // Beside the list, which programs read.
                 writeln!(
                     std::io::stderr(),
-                    "there is no key; 'rosaline keys add NAME --scope submit,read' makes one"
+                    "there is no key in {}; 'rosaline keys add NAME --scope submit,read{}' makes one",
+                    place.path().display(),
+                    place.again()
                 )?;
             }
             for key in keys {

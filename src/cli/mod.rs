@@ -7,8 +7,10 @@ mod extract;
 mod files;
 mod health;
 mod keys;
+mod misuse;
 mod numbers;
 mod openapi;
+mod operator_place;
 mod parameters;
 mod phantom;
 mod progress;
@@ -21,7 +23,7 @@ use std::ffi::OsString;
 use std::io::Write;
 use std::process::ExitCode;
 
-use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::{ArgAction, CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use config::Config;
 
@@ -61,11 +63,20 @@ enum Command {
 
 /// Why a subcommand failed, as the one line that the user reads.
 #[derive(Debug)]
-pub struct Failure(String);
+pub struct Failure {
+    message: String,
+    /// The settings that it comes from, where they may stand in a configuration file.
+    settings: &'static [&'static str],
+}
 
 impl Failure {
     pub fn new(message: impl Into<String>) -> Self {
-        Self(message.into())
+        Self { message: message.into(), settings: &[] }
+    }
+
+    /// What goes wrong as these settings are what they are.
+    pub fn of<E: Into<Self>>(settings: &'static [&'static str]) -> impl FnOnce(E) -> Self {
+        move |error| Self { settings, ..error.into() }
     }
 }
 
@@ -81,7 +92,7 @@ impl<E: Error> From<E> for Failure {
             }
             source = cause.source();
         }
-        Self(line)
+        Self::new(line)
     }
 }
 
@@ -91,7 +102,7 @@ impl<E: Error> From<E> for Failure {
 pub fn main() -> ExitCode {
     match asked(std::env::args_os().collect()) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(Failure(message)) => {
+        Err(Failure { message, .. }) => {
             let line = message.split_whitespace().collect::<Vec<_>>().join(" ");
             // A closed stderr leaves nobody to tell.
             let _ = writeln!(std::io::stderr(), "rosaline: {line}");
@@ -102,9 +113,25 @@ pub fn main() -> ExitCode {
 
 /// Does what the arguments ask for, with what a configuration file says besides.
 fn asked(arguments: Vec<OsString>) -> Result<(), Failure> {
-    let command = Cli::command();
+    let command = command();
     let config = Config::of(&command, &arguments)?;
-    let all = config.added_to(&command, arguments.clone());
+    let places = |settings: &[&str]| config.places_of(settings, &command, &arguments);
+    done(&command, &config, &arguments, &places).map_err(|failure| match places(failure.settings) {
+        Some(places) => Failure::new(format!("{places}: {}", failure.message)),
+        None => failure,
+    })
+}
+
+/// Where these settings come from, as far as they are no flags among the arguments.
+type Places<'a> = &'a dyn Fn(&[&str]) -> Option<String>;
+
+fn done(
+    command: &clap::Command,
+    config: &Config,
+    arguments: &[OsString],
+    places: Places<'_>,
+) -> Result<(), Failure> {
+    let all = config.added_to(command, arguments.to_vec());
     let parsed = command
         .clone()
         .try_get_matches_from(all)
@@ -112,16 +139,28 @@ fn asked(arguments: Vec<OsString>) -> Result<(), Failure> {
     match parsed {
         Ok((Cli { command: Command::Serve(service) }, matches)) if service.print_config => {
             let matches = matches.subcommand().map_or(&matches, |(_, matches)| matches);
-            std::io::stdout().write_all(config.in_force(&command, &arguments, matches).as_bytes())?;
+            std::io::stdout().write_all(config.in_force(command, arguments, matches).as_bytes())?;
             // What a service would not start with is to be known before.
             serve::check(&service.args)
         }
-        Ok((cli, _)) => run(cli),
-        Err(error) => misused(&error, config.place_of(&error, &command, &arguments)).map_or(Ok(()), Err),
+        Ok((cli, _)) => run(cli, places),
+        Err(error) => misuse::told(&error, config, command, arguments).map_or(Ok(()), Err),
     }
 }
 
-fn run(cli: Cli) -> Result<(), Failure> {
+/// The arguments; a number below 0 is a value of every flag, for the flag's own words to refuse.
+fn command() -> clap::Command {
+    Cli::command().mut_subcommands(|each| {
+        each.mut_args(|arg| {
+            let is_number = arg.get_long().is_some()
+                && matches!(arg.get_action(), ArgAction::Set)
+                && !arg.is_require_equals_set();
+            if is_number { arg.allow_negative_numbers(true) } else { arg }
+        })
+    })
+}
+
+fn run(cli: Cli, places: Places<'_>) -> Result<(), Failure> {
     match cli.command {
         Command::Serve(service) => serve::run(service.args),
         Command::Extract(args) => extract::run(args),
@@ -129,44 +168,10 @@ fn run(cli: Cli) -> Result<(), Failure> {
         Command::Phantom(args) => phantom::run(args),
         Command::Keys(args) => keys::run(args),
         Command::Webhooks(args) => webhooks::run(args),
-        Command::Doctor(args) => doctor::run(*args),
+        Command::Doctor(args) => doctor::run(*args, places),
         Command::Health(args) => health::run(args),
         Command::Work(args) => work::run(args),
         Command::Openapi(args) => openapi::run(args),
-    }
-}
-
-/// What is wrong with the arguments, without clap's usage and hints for people; help and version, which are
-/// no failures to clap's callers, are printed. `place`: the variable or the line of a configuration file that it comes from.
-fn misused(error: &clap::Error, place: Option<String>) -> Option<Failure> {
-    use clap::error::ErrorKind::{
-        DisplayHelp, DisplayHelpOnMissingArgumentOrSubcommand, DisplayVersion, TooManyValues,
-    };
-    use clap::error::{ContextKind, ContextValue};
-    match error.kind() {
-        DisplayHelp | DisplayVersion => {
-            // A closed stdout leaves nobody to tell.
-            let _ = error.print();
-            None
-        }
-        DisplayHelpOnMissingArgumentOrSubcommand => {
-            Some(Failure::new("a subcommand is missing; rosaline --help lists them"))
-        }
-        TooManyValues => {
-            let flag = match error.get(ContextKind::InvalidArg) {
-                Some(ContextValue::String(flag)) => flag,
-                _ => "this flag",
-            };
-            Some(Failure::new(format!("{flag} takes no value; give it alone, or leave it out")))
-        }
-        _ => {
-            let text = error.to_string();
-            let end =
-                ["\n\nUsage:", "\n\nFor more information"].iter().filter_map(|mark| text.find(mark)).min();
-            let what = text[..end.unwrap_or(text.len())].trim_start_matches("error: ").trim();
-            let place = place.map_or(String::new(), |place| format!("{place}: "));
-            Some(Failure::new(format!("{place}{what}; --help lists what can be given")))
-        }
     }
 }
 
@@ -176,6 +181,6 @@ mod tests {
 
     #[test]
     fn the_arguments_are_consistent() {
-        Cli::command().debug_assert();
+        command().debug_assert();
     }
 }

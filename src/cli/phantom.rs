@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 use crate::mesh::Units;
 use crate::mesh::format::write_stl_binary;
 use crate::output::{MethodRecord, ParameterValue, ResultDocument, Source, write_json};
-use crate::phantom::{Kind, Settings, generate};
+use crate::phantom::{Kind, PhantomError, Settings, generate};
 
 use super::numbers::{real, whole};
 use super::{Failure, files};
@@ -29,8 +29,8 @@ pub struct Args {
     /// Where the files go, without their extension.
     #[arg(short, long, value_name = "PREFIX")]
     output: PathBuf,
-    /// Deviation of the Gaussian noise on every vertex, in voxels.
-    #[arg(long, value_name = "VOXELS", num_args = 0..=1, require_equals = true, default_missing_value = "0.2", default_value_t = 0.0, value_parser = real)]
+    /// Deviation of the Gaussian noise on every vertex, in voxels [default: 0, and 0.2 for --noise alone].
+    #[arg(long, value_name = "VOXELS", num_args = 0..=1, require_equals = true, default_missing_value = "0.2", default_value_t = 0.0, hide_default_value = true, value_parser = real)]
     noise: f64,
     /// The surface of the binary voxels.
     #[arg(long)]
@@ -47,7 +47,7 @@ pub struct Args {
 }
 
 fn parse_kind(text: &str) -> Result<Kind, String> {
-    text.parse().map_err(|error: crate::phantom::PhantomError| error.to_string())
+    text.parse().map_err(|error: PhantomError| error.to_string())
 }
 
 pub fn run(args: Args) -> Result<(), Failure> {
@@ -56,7 +56,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Settings { voxel: args.voxel.unwrap_or(own), noise: args.noise, stair: args.stair, open: args.open };
     let (surface, line) = (with_extension(&args.output, "stl"), with_extension(&args.output, "json"));
     files::check_folder(&surface)?;
-    let phantom = generate(args.kind, args.seed, &settings)?;
+    let phantom = generate(args.kind, args.seed, &settings).map_err(|error| blamed(error, args.coarse))?;
     let mut stl = Vec::new();
     write_stl_binary(&phantom.mesh, &mut stl)?;
     let name = surface.file_name().map(|name| name.to_string_lossy().into_owned());
@@ -70,6 +70,16 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let document = ResultDocument::with_method(&phantom.extraction(), &source, method);
     files::write(&surface, &stl)?;
     files::write(&line, &write_json(&document)?)
+}
+
+/// The voxel that is too coarse comes from one of two flags.
+fn blamed(error: PhantomError, is_coarse: bool) -> Failure {
+    match error {
+        PhantomError::TooCoarse { .. } if is_coarse => {
+            Failure::new(format!("{error}: leave --coarse out, or give a --voxel"))
+        }
+        error => error.into(),
+    }
 }
 
 fn parameters(seed: u64, settings: &Settings) -> BTreeMap<String, ParameterValue> {

@@ -15,7 +15,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
 use super::Failure;
-use crate::http::access::{Gate, Issuer, JwksSource, KeyError, KeyRing};
+use crate::http::access::{Gate, Issuer, JwksSource, KeyError, KeyFile, KeyRing};
 use crate::http::audit::Trail;
 use crate::http::{self, App, Limits, Tls};
 use crate::jobs::checkup;
@@ -61,42 +61,47 @@ pub fn run(args: Args) -> Result<(), Failure> {
 pub fn check(args: &Args) -> Result<(), Failure> {
     let is_address = |(host, port): (&str, &str)| !host.is_empty() && port.parse::<u16>().is_ok();
     if !args.listen.rsplit_once(':').is_some_and(is_address) {
-        return Err(Failure::new(format!(
+        let what = format!(
             "cannot listen on '{}', which is no HOST:PORT; give --listen one, 127.0.0.1:8080 for example",
             args.listen
-        )));
+        );
+        return Err(Failure::of(&["listen"])(Failure::new(what)));
     }
-    settings(args)?;
+    settings(args).map_err(Failure::of(&["workers", "threads"]))?;
     if let (Some(cert), Some(key)) = (&args.tls_cert, &args.tls_key) {
-        Tls::open(cert, key)?;
+        Tls::open(cert, key).map_err(Failure::of(&["tls-cert", "tls-key"]))?;
     }
-    if let Some(named) = &args.keys {
-        KeyRing::open_named(named)?;
+    // What is not named may yet come to be where it is looked for.
+    if args.keys.is_some() {
+        key_file(args).list().map_err(Failure::of(&["keys"]))?;
     }
     issuer(args)?;
-    if let Some(named) = &args.webhooks {
-        let targets = TargetFile::new(named);
-        // One that only cannot be looked at is told by the reading.
-        if matches!(named.try_exists(), Ok(false)) {
-            return Err(targets.missing().into());
-        }
-        targets.list()?;
+    if args.webhooks.is_some() {
+        target_file(args).list().map_err(Failure::of(&["webhooks"]))?;
     }
     Ok(())
+}
+
+/// The file of the API keys; one that was named must be there.
+pub(super) fn key_file(args: &Args) -> KeyFile {
+    args.keys.as_ref().map_or_else(|| KeyFile::new(args.data.join("keys.json")), KeyFile::named)
+}
+
+/// The file of the webhook targets; one that was named must be there.
+pub(super) fn target_file(args: &Args) -> TargetFile {
+    args.webhooks.as_ref().map_or_else(|| TargetFile::new(args.data.join("webhooks.json")), TargetFile::named)
 }
 
 async fn serve(args: Args, spans: Spans) -> Result<(), Failure> {
     let stop = stop_signal()?;
     let listener = TcpListener::bind(&args.listen).await.map_err(|error| {
-        Failure::new(format!(
-            "cannot listen on {}: {error}; choose another address with --listen",
-            args.listen
-        ))
+        let what = format!("cannot listen on {}: {error}; choose another address with --listen", args.listen);
+        Failure::of(&["listen"])(Failure::new(what))
     })?;
     let address = listener.local_addr()?;
     let limits = limits(&args);
     let gate = gate(&args).await?;
-    check_open(address, &gate, args.insecure)?;
+    check_open(address, &gate, &args)?;
     let pair = args.tls_cert.as_ref().zip(args.tls_key.as_ref());
     let tls = pair.map(|(cert, key)| Tls::open(cert, key)).transpose()?;
     let (is_plain, is_open) = (tls.is_none(), !gate.is_closed());
@@ -156,10 +161,7 @@ fn warn(address: SocketAddr, is_plain: bool, is_open: bool) {
 
 /// Who is let in: the holders of keys, and of tokens where an issuer is set.
 async fn gate(args: &Args) -> Result<Gate, Failure> {
-    let keys = match &args.keys {
-        Some(named) => KeyRing::open_named(named)?,
-        None => KeyRing::open(args.data.join("keys.json"))?,
-    };
+    let keys = KeyRing::of(key_file(args)).map_err(Failure::of(&["keys"]))?;
     let issuer = issuer(args)?;
     if args.jwks.as_ref().is_some_and(JwksSource::is_in_the_clear) {
         tracing::warn!(
@@ -175,7 +177,8 @@ async fn gate(args: &Args) -> Result<Gate, Failure> {
 
 fn issuer(args: &Args) -> Result<Option<Issuer>, Failure> {
     let (Some(issuer), Some(audience)) = (&args.jwt_issuer, &args.jwt_audience) else { return Ok(None) };
-    Ok(Some(Issuer::open(issuer, audience, args.jwks.clone())?))
+    let opened = Issuer::open(issuer, audience, args.jwks.clone());
+    Ok(Some(opened.map_err(Failure::of(if args.jwks.is_some() { &["jwks"] } else { &["jwt-issuer"] }))?))
 }
 
 async fn has_owners(args: &Args) -> Result<bool, Failure> {
@@ -192,24 +195,24 @@ fn is_local(address: SocketAddr) -> bool {
 }
 
 /// Refuses to let others in without authentication, unless that is asked for.
-fn check_open(address: SocketAddr, gate: &Gate, insecure: bool) -> Result<(), Failure> {
+fn check_open(address: SocketAddr, gate: &Gate, args: &Args) -> Result<(), Failure> {
     if gate.is_closed() {
         return Ok(());
     }
-    if !is_local(address) && !insecure {
+    if !is_local(address) && !args.insecure {
+        let data = args.data.display();
         return Err(Failure::new(format!(
             "on {address} others could use this service, and no key is needed for it: make one with 'rosaline keys \
-             add NAME --scope submit,read', accept tokens with --jwt-issuer, listen on 127.0.0.1, or let everybody in with --insecure"
+             add NAME --scope submit,read --data {data}', accept tokens with --jwt-issuer, listen on 127.0.0.1, or let \
+             everybody in with --insecure"
         )));
     }
     Ok(())
 }
 
 fn webhook_settings(args: &Args) -> webhooks::Settings {
-    let path = args.webhooks.clone().unwrap_or_else(|| args.data.join("webhooks.json"));
     webhooks::Settings {
-        file: TargetFile::new(path),
-        must_exist: args.webhooks.is_some(),
+        file: target_file(args),
         schedule: Schedule { first: args.webhook_retry.0, attempts: args.webhook_attempts },
         timeout: args.webhook_timeout.0,
     }

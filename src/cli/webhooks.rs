@@ -1,13 +1,15 @@
 //! `rosaline webhooks`: who is told of the ends of jobs.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
+use clap::builder::NonEmptyStringValueParser;
 
 use super::Failure;
-use super::files::create_private;
+use super::operator_place::OperatorPlace;
 use super::serve::Span;
+use crate::http::access::KeyFile;
 use crate::outbound::Url;
 use crate::outbound::webhooks::{Event, TargetFile};
 
@@ -15,12 +17,15 @@ use crate::outbound::webhooks::{Event, TargetFile};
 pub struct Args {
     #[command(subcommand)]
     command: Command,
-    /// The service's data folder, in which the targets are; created where it is missing.
-    #[arg(long, env = "ROSALINE_DATA", default_value = "data", value_name = "DIR", global = true)]
-    data: PathBuf,
+    /// The service's data folder, in which the targets are [default: data]; `add` creates it where it is missing.
+    #[arg(long, env = "ROSALINE_DATA", value_name = "DIR", global = true)]
+    data: Option<PathBuf>,
     /// The file of the targets, where it is not webhooks.json in the data folder.
     #[arg(long, env = "ROSALINE_WEBHOOKS", value_name = "FILE", global = true)]
     webhooks: Option<PathBuf>,
+    /// The file of the API keys, where it is not keys.json in the data folder: --owner is looked for in it.
+    #[arg(long, env = "ROSALINE_KEYS", value_name = "FILE", global = true)]
+    keys: Option<PathBuf>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -35,7 +40,7 @@ enum Command {
         #[arg(long, value_delimiter = ',', value_name = "EVENTS")]
         events: Vec<Event>,
         /// Tell only of jobs of this principal: a key's name, or a token's ISSUER#SUBJECT.
-        #[arg(long, value_name = "PRINCIPAL")]
+        #[arg(long, value_name = "PRINCIPAL", value_parser = NonEmptyStringValueParser::new())]
         owner: Option<String>,
     },
     /// List the targets, without their secrets.
@@ -53,19 +58,27 @@ enum Command {
 
 /// A running service takes changes over within a second.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let path = match args.webhooks {
-        Some(path) => path,
-        None => {
-            create_private(&args.data)?;
-            args.data.join("webhooks.json")
-        }
+    let (data, named) = (args.data.as_deref(), args.webhooks.as_deref());
+    let place = OperatorPlace { data, named, flag: "--webhooks", name: "webhooks.json" };
+    let file = match (&args.command, named) {
+        (Command::Add { .. }, _) | (_, None) => TargetFile::new(place.path()),
+        (_, Some(named)) => TargetFile::named(named),
     };
-    let file = TargetFile::new(path);
+    match args.command {
+        Command::Add { .. } => place.make()?,
+        _ => place.check()?,
+    }
     let mut out = std::io::stdout();
     match args.command {
         Command::Add { name, url, events, owner } => {
             let events = if events.is_empty() { Event::ALL.to_vec() } else { events };
+            let keys = OperatorPlace { data, named: args.keys.as_deref(), flag: "--keys", name: "keys.json" };
+            let doubt = owner.as_deref().and_then(|owner| doubted(owner, &keys.path()));
             writeln!(out, "{}", file.add(&name, url, &events, owner)?)?;
+            let unsaid = place.unsaid().map(|unsaid| format!("note: {unsaid}"));
+            for line in doubt.map(|doubt| format!("warning: {doubt}")).into_iter().chain(unsaid) {
+                writeln!(std::io::stderr(), "rosaline: {line}")?;
+            }
         }
         Command::Rotate { name, overlap } => writeln!(out, "{}", file.rotate(&name, overlap.0)?)?,
         Command::Remove { name } => file.remove(&name)?,
@@ -75,7 +88,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 // Beside the list, which programs read.
                 writeln!(
                     std::io::stderr(),
-                    "there is no target; 'rosaline webhooks add NAME --url URL' adds one"
+                    "there is no target in {}; 'rosaline webhooks add NAME --url URL{}' adds one",
+                    place.path().display(),
+                    place.again()
                 )?;
             }
             for target in targets {
@@ -86,4 +101,21 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
     }
     Ok(())
+}
+
+/// What makes it doubtful that a principal has jobs, by the keys in this file. It is no error: its key may be made later, and
+/// of a token's subject nothing is known here.
+fn doubted(owner: &str, keys: &Path) -> Option<String> {
+    let path = keys.display();
+    match KeyFile::new(keys).list() {
+        // As tokens' names have it, and no key's.
+        _ if owner.contains('#') => None,
+        // A revoked key's jobs may be under way.
+        Ok(known) if known.iter().any(|key| key.name == owner) => None,
+        Ok(_) => Some(format!(
+            "no key in {path} has the name '{owner}', so there is nothing to tell until one has; a token's owner is \
+             ISSUER#SUBJECT"
+        )),
+        Err(error) => Some(format!("whether a key has the name '{owner}' is not known: {error}")),
+    }
 }

@@ -2,6 +2,7 @@
 
 mod broken;
 mod discovery;
+mod fetching;
 mod gate;
 mod jwks;
 mod jwt;
@@ -211,9 +212,12 @@ fn unauthenticated(reason: &Unknown) -> Problem {
             format!("Bearer realm=\"rosaline\", error=\"invalid_token\", error_description=\"{reason}\"")
         }
     };
-    let detail = format!(
-        "{reason}; send a valid key or token as 'Authorization: Bearer ...'. The operator makes keys"
-    );
+    let todo = match reason {
+        // Whoever has one got it from there, and no operator makes another.
+        Unknown::Token(_) => "get a token from the issuer and send it as 'Authorization: Bearer ...'",
+        _ => "send a valid key or token as 'Authorization: Bearer ...'. The operator makes keys",
+    };
+    let detail = format!("{reason}; {todo}");
     Problem::new(&UNAUTHENTICATED, detail).header(header::WWW_AUTHENTICATE, challenge)
 }
 

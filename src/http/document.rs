@@ -134,7 +134,7 @@ fn description() -> String {
          Post a mesh, follow its job, get the centerline. A job is durable once it is answered with 201.\n\n\
          Errors are problem details (RFC 9457) whose `type` is `{prefix}` and one of the words below; a failed \
          job's `error` has the words of the method's own failures too (`no-triangles`, `all-degenerate`, \
-         `not-finite`, `out-of-range`, `out-of-scale`, `off-surface`, `not-tubular`, `undersampled`), or one of the queue's: \
+         `far-out`, `not-finite`, `out-of-range`, `out-of-scale`, `off-surface`, `not-tubular`, `undersampled`), or one of the queue's: \
          {failures}. A word never changes its meaning.\n\n\
          | word | status | title |\n| --- | --- | --- |\n",
         prefix = problem::TYPE_PREFIX,

@@ -134,6 +134,10 @@ fn fatal(error: &PreparationError) -> Defect {
         PreparationError::AllDegenerate { triangles } => {
             ("all-degenerate", *triangles, "triangle", None, "no triangle has an area")
         }
+        PreparationError::FarOut(sites) => {
+            let detail = "it lies so far out that the rest of the mesh has no size beside it";
+            ("far-out", sites.count, "vertex", Some(sites), detail)
+        }
         PreparationError::NotFinite(sites) => {
             ("not-finite", sites.count, "vertex", Some(sites), "a coordinate is not a finite number")
         }

@@ -20,8 +20,9 @@ pub struct Limits {
     pub upload_idle: Duration,
     /// A connection whose next request's head is not whole after this long is closed.
     pub head: Duration,
-    /// Meshes that are checked at the same time; further uploads wait their turn on disk. Each takes one copy of
-    /// its file in memory and the mesh that is read from it, so this bounds the memory of any number of uploads.
+    /// Meshes that are checked at the same time, and as many small ones beside them; further uploads wait their turn on disk.
+    /// Each takes one copy of its file in memory and the mesh that is read from it, so this bounds the memory of any number
+    /// of uploads.
     pub validations: usize,
     /// Uploads that may come in at the same time.
     pub uploads: usize,

@@ -40,3 +40,4 @@ pub use problem::Problem;
 pub use server::serve;
 pub use state::App;
 pub use tls::Tls;
+pub use validation::unread;

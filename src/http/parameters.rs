@@ -153,9 +153,11 @@ pub fn json_pairs(bytes: &[u8]) -> Result<Vec<(String, String)>, Problem> {
             return Err(invalid(&name, format!("{} is given twice; give it once", shown(&name))));
         }
         if let Some(spec) = POINTS.iter().find(|spec| spec.name == name) {
-            let texts = point_texts(value, spec.most > 1);
-            let texts =
-                texts.ok_or_else(|| wrong_type(&name, "a text x,y,z, or for many points a list of them"))?;
+            let expected = match spec.most {
+                1 => "one text \"x,y,z\", no list",
+                _ => "a text \"x,y,z\", or a list of such texts",
+            };
+            let texts = point_texts(value, spec.most > 1).ok_or_else(|| wrong_type(&name, expected))?;
             pairs.extend(texts.into_iter().map(|text| (name.clone(), text)));
             continue;
         }
@@ -282,8 +284,14 @@ mod tests {
         ] {
             assert_eq!(pairs(&list).unwrap_err()["parameter"], name);
         }
-        for bad in [&br#"{"include": [[1, 2, 3]]}"#[..], br#"{"root": ["1,2,3"]}"#, br#"{"exclude": 1}"#] {
-            assert!(json_pairs(bad).is_err());
+        for (bad, shape) in [
+            (&br#"{"include": [[1, 2, 3]]}"#[..], "include is a text \"x,y,z\", or a list of such texts"),
+            (br#"{"exclude": 1}"#, "or a list of such texts"),
+            (br#"{"root": ["1,2,3"]}"#, "root is one text \"x,y,z\", no list"),
+            (br#"{"root": [[1, 2, 3]]}"#, "no list"),
+        ] {
+            let problem = serde_json::to_value(json_pairs(bad).unwrap_err()).unwrap();
+            assert!(problem["detail"].as_str().unwrap().ends_with(shape), "{problem}");
         }
     }
 

@@ -18,37 +18,76 @@ use crate::jobs::FormatHint;
 use crate::mesh::TriangleMesh;
 use crate::mesh::format::{self, Format, Hint, ReadError};
 
-/// A bounded number of readers on threads of their own, away from the async ones.
+/// Bytes of a small file.
+const SMALL_FILE: u64 = 1 << 20;
+/// Triangles of a small mesh, and bytes that it may unpack to: few bytes may hold many of them.
+const SMALL_MESH: usize = 100_000;
+const SMALL_DECODED: usize = 16 << 20;
+
+/// A bounded number of readers on threads of their own, away from the async ones. Small meshes have others than large
+/// ones: one that is read in milliseconds waits for none that takes seconds, neither for its turn nor within rayon, where a
+/// thread that waits for a part of its own mesh takes on a part of another.
 pub(super) struct Validator {
+    small: Lane,
+    large: Lane,
+}
+
+/// Readers of meshes within the same limits.
+struct Lane {
     permits: Arc<Semaphore>,
     pool: ThreadPool,
     limits: format::Limits,
 }
 
 /// The right to hold one mesh in memory.
-pub(super) struct Turn(OwnedSemaphorePermit);
+pub(super) struct Turn<P> {
+    permit: OwnedSemaphorePermit,
+    /// Of a small file: what it holds until it is known that its mesh is small too.
+    small: Option<P>,
+}
+
+impl Lane {
+    fn new(name: &'static str, readers: usize, limits: format::Limits) -> Result<Self, ThreadPoolBuildError> {
+        let pool = ThreadPoolBuilder::new()
+            .num_threads(readers)
+            .thread_name(move |thread| format!("{name}-{thread}"))
+            .build()?;
+        Ok(Self { permits: Arc::new(Semaphore::new(readers)), pool, limits })
+    }
+
+    async fn permit(&self) -> Result<OwnedSemaphorePermit, Problem> {
+        let permit = self.permits.clone().acquire_owned().await;
+        permit.map_err(|_| Problem::new(&INTERNAL_ERROR, "the service is stopping; try again later"))
+    }
+}
 
 impl Validator {
     pub(super) fn new(limits: &Limits) -> Result<Self, ThreadPoolBuildError> {
-        let pool = ThreadPoolBuilder::new()
-            .num_threads(limits.validations)
-            .thread_name(|thread| format!("validator-{thread}"))
-            .build()?;
-        Ok(Self { permits: Arc::new(Semaphore::new(limits.validations)), pool, limits: limits.mesh })
+        let (mesh, small) = (limits.mesh, format::Limits::of_triangles(SMALL_MESH));
+        let small = format::Limits {
+            vertices: small.vertices.min(mesh.vertices),
+            triangles: small.triangles.min(mesh.triangles),
+            decoded_bytes: SMALL_DECODED.min(mesh.decoded_bytes),
+            expansion: mesh.expansion,
+        };
+        Ok(Self {
+            small: Lane::new("small-validator", limits.validations, small)?,
+            large: Lane::new("validator", limits.validations, mesh)?,
+        })
     }
 
-    /// Waits until a mesh may be loaded.
-    pub(super) async fn turn(&self) -> Result<Turn, Problem> {
-        let permit = self.permits.clone().acquire_owned().await;
-        permit
-            .map(Turn)
-            .map_err(|_| Problem::new(&INTERNAL_ERROR, "the service is stopping; try again later"))
+    /// Waits until a mesh whose file has so many bytes may be loaded. It has its `place` among the uploads as long as it may
+    /// have to wait.
+    pub(super) async fn turn<P>(&self, bytes: u64, place: P) -> Result<Turn<P>, Problem> {
+        let is_small = bytes <= SMALL_FILE;
+        let permit = if is_small { self.small.permit().await } else { self.large.permit().await }?;
+        Ok(Turn { permit, small: is_small.then_some(place) })
     }
 
     /// The mesh's format, if it can be read and the points of `parameters` are near it.
-    pub(super) async fn check(
+    pub(super) async fn check<P>(
         &self,
-        turn: Turn,
+        turn: Turn<P>,
         bytes: Bytes,
         hint: FormatHint,
         parameters: Parameters,
@@ -57,9 +96,9 @@ impl Validator {
     }
 
     /// The mesh as a job would find it, under the same conditions.
-    pub(super) async fn inspect(
+    pub(super) async fn inspect<P>(
         &self,
-        turn: Turn,
+        turn: Turn<P>,
         bytes: Bytes,
         hint: FormatHint,
         parameters: Parameters,
@@ -70,15 +109,38 @@ impl Validator {
         self.read(turn, bytes, hint, parameters, then).await
     }
 
-    /// Reads the mesh on a thread of the pool and goes on with `then` there.
+    /// Reads the mesh and goes on with `then`; one that turns out to be large waits for the turn of such a one first.
+    async fn read<T: Send + 'static, P>(
+        &self,
+        turn: Turn<P>,
+        bytes: Bytes,
+        hint: FormatHint,
+        parameters: Parameters,
+        then: impl FnOnce(TriangleMesh, Format) -> T + Clone + Send + 'static,
+    ) -> Result<T, Problem> {
+        let mut permit = turn.permit;
+        if let Some(place) = turn.small {
+            let then = then.clone();
+            match self.small.read(permit, bytes.clone(), hint.clone(), parameters.clone(), then).await {
+                Ok(Err(ReadError::TooLarge { .. })) => permit = self.large.permit().await?,
+                outcome => return outcome?.map_err(|error| refusal(&error))?,
+            }
+            drop(place);
+        }
+        self.large.read(permit, bytes, hint, parameters, then).await?.map_err(|error| refusal(&error))?
+    }
+}
+
+impl Lane {
+    /// On a thread of its own.
     async fn read<T: Send + 'static>(
         &self,
-        turn: Turn,
+        permit: OwnedSemaphorePermit,
         bytes: Bytes,
         hint: FormatHint,
         parameters: Parameters,
         then: impl FnOnce(TriangleMesh, Format) -> T + Send + 'static,
-    ) -> Result<T, Problem> {
+    ) -> Result<Result<Result<T, Problem>, ReadError>, Problem> {
         let (answer, outcome) = oneshot::channel();
         let limits = self.limits;
         self.pool.spawn(move || {
@@ -91,13 +153,12 @@ impl Validator {
             };
             let outcome: Result<Result<Result<T, ExtractError>, ReadError>, _> =
                 catch_unwind(AssertUnwindSafe(read));
-            drop(turn.0);
+            drop(permit);
             // Nobody listens any more when the client has left.
             let _ = answer.send(outcome);
         });
         match outcome.await {
-            Ok(Ok(Ok(found))) => found.map_err(|error| far_off(&error)),
-            Ok(Ok(Err(error))) => Err(refusal(&error)),
+            Ok(Ok(read)) => Ok(read.map(|found| found.map_err(|error| far_off(&error)))),
             Ok(Err(_)) | Err(_) => {
                 Err(Problem::new(&INTERNAL_ERROR, "the mesh's reader stopped on an internal error"))
             }
@@ -116,7 +177,17 @@ fn far_off(error: &ExtractError) -> Problem {
 
 /// The reader's error as the client sees it: one kind for each of the reader's words.
 pub(super) fn refusal(error: &ReadError) -> Problem {
-    Problem::new(kind(error), error.to_string())
+    Problem::new(kind(error), unread(error))
+}
+
+/// What was found and what to do, the latter behind the former also where the reader names both at once.
+pub fn unread(error: &ReadError) -> String {
+    match error {
+        ReadError::Unsupported { found } if let Some((what, todo)) = found.split_once("; ") => {
+            format!("this is {what}, not a mesh that is read here; {todo} and send the mesh itself")
+        }
+        error => error.to_string(),
+    }
 }
 
 fn kind(error: &ReadError) -> &'static Kind {
@@ -159,11 +230,53 @@ mod tests {
     async fn a_picture_is_refused_and_the_turn_comes_back() {
         let validator = Validator::new(&Limits { validations: 1, ..Limits::default() }).unwrap();
         for _ in 0..3 {
-            let turn = validator.turn().await.unwrap();
+            let turn = validator.turn(16, ()).await.unwrap();
             let bytes = Bytes::from_static(b"\x89PNG\r\n\x1a\n....");
             let problem =
                 validator.check(turn, bytes, FormatHint::default(), Parameters::default()).await.unwrap_err();
             assert_eq!(problem.status(), 415);
         }
+    }
+
+    #[test]
+    fn what_is_to_be_done_stands_behind_what_was_found() {
+        let said = |bytes: &[u8]| {
+            let read = format::read(bytes, Hint::default(), &format::Limits::default());
+            unread(&read.unwrap_err())
+        };
+        let gzip = said(b"\x1f\x8b\x08\0\0\0\0\0\0\x03");
+        assert_eq!(
+            gzip,
+            "this is gzip-compressed data, not a mesh that is read here; unpack it first and send the mesh itself"
+        );
+        assert!(
+            said(b"\x89PNG\r\n\x1a\n....")
+                .starts_with("this is a PNG picture, not a mesh that is read here; send STL")
+        );
+    }
+
+    /// The check of an OBJ file with so many times the same triangle.
+    async fn checked(validator: &Validator, triangles: usize, place: Arc<()>) -> Result<Format, Problem> {
+        let text = ["v 0 0 0\nv 1 0 0\nv 0 1 0\n", &"f 1 2 3\n".repeat(triangles)].concat();
+        let turn = validator.turn(text.len() as u64, place).await?;
+        validator.check(turn, text.into(), FormatHint::default(), Parameters::default()).await
+    }
+
+    #[tokio::test]
+    async fn a_small_mesh_waits_for_no_large_one() {
+        let validator = Validator::new(&Limits { validations: 1, ..Limits::default() }).unwrap();
+        // A large one has the only turn, and keeps the only thread busy.
+        let turn = validator.turn(SMALL_FILE + 1, ()).await.unwrap();
+        let (go_on, wait) = std::sync::mpsc::channel::<()>();
+        validator.large.pool.spawn(move || while wait.recv().is_ok() {});
+        let place = Arc::new(());
+        assert!(checked(&validator, 10, place.clone()).await.is_ok());
+        // A small file of many triangles is a large mesh, and has its place until its turn comes.
+        let mut many = std::pin::pin!(checked(&validator, SMALL_MESH + 1, place.clone()));
+        let soon = std::time::Duration::from_millis(500);
+        assert!(tokio::time::timeout(soon, many.as_mut()).await.is_err(), "it waits for its turn");
+        assert_eq!(Arc::strong_count(&place), 2);
+        drop((turn, go_on));
+        assert!(many.await.is_ok());
     }
 }

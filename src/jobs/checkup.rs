@@ -42,7 +42,10 @@ pub fn folder(path: &Path) -> Vec<Finding> {
     if !path.exists() {
         let parent = path.ancestors().skip(1).find(|each| each.as_os_str().is_empty() || each.exists());
         let parent = parent.filter(|each| !each.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let created = format!("the data folder {} is not there; the first start creates it", path.display());
+        let created = format!(
+            "the data folder {} is not there; the first start creates it, unless --data should be another",
+            path.display()
+        );
         return vec![tried(parent, path).map_or_else(|wrong| wrong, |()| Finding::Note(created))];
     }
     if !path.is_dir() {

@@ -79,7 +79,8 @@ pub struct FileName(String);
 pub struct BadName(usize);
 
 impl FileName {
-    /// The last part of a path: a browser's file name may carry folders of a client's machine. `None`: only folders.
+    /// The last part of a path: a browser's file name may carry folders of a client's machine. `None`: only folders, or dots,
+    /// which would be one where the name is used as a file's.
     ///
     /// # Errors
     /// [`BadName`] where it is empty, longer than `most` characters, or holds control characters.
@@ -88,7 +89,7 @@ impl FileName {
             return Err(BadName(most));
         }
         let last = path.rsplit(['/', '\\']).next().unwrap_or_default().trim();
-        Ok(if last.is_empty() { None } else { Some(Self::new(last)) })
+        Ok(if last.bytes().all(|byte| byte == b'.') { None } else { Some(Self::new(last)) })
     }
 
     pub fn new(name: impl Into<String>) -> Self {
@@ -331,6 +332,15 @@ mod tests {
         let spec = JobSpec { name: Some(FileName::new("doe_jane_1970.stl")), ..JobSpec::default() };
         assert!(!format!("{spec:?}").contains("doe"));
         assert_eq!(spec.name.map(|name| name.expose().to_owned()).as_deref(), Some("doe_jane_1970.stl"));
+    }
+
+    #[test]
+    fn a_name_of_dots_is_none() {
+        let name = |path| FileName::of(path, 255).unwrap().map(|name| name.expose().to_owned());
+        for path in ["..", "../..", "a/.", "C:\\x\\..", "...", "a/ .. "] {
+            assert_eq!(name(path), None, "{path}");
+        }
+        assert_eq!(name("../.doe.stl").as_deref(), Some(".doe.stl"));
     }
 
     #[test]

@@ -11,6 +11,7 @@ pub mod measures;
 pub mod normals;
 mod numbering;
 mod openings;
+mod outlying;
 pub mod preparation;
 pub mod reopening;
 mod sites;

@@ -13,10 +13,14 @@ use super::flat_caps;
 use super::matching::{MatchReport, match_half_edges};
 use super::measures::{area, diagonal, signed_volume, total_area};
 use super::openings::cap;
+use super::outlying::outlying;
 use super::snapping::snap;
 
 pub use super::openings::Opening;
 pub use super::sites::Sites;
+
+/// A mesh whose triangles have no more has no area, in squared diagonals.
+pub(super) const NO_AREA: f64 = 1e-14;
 
 /// Why a triangle soup is not a surface.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -25,6 +29,8 @@ pub enum PreparationError {
     NoTriangles,
     #[error("all {triangles} triangles have no area")]
     AllDegenerate { triangles: usize },
+    #[error("the rest of the mesh has no size beside {0} vertices, so far out do they lie")]
+    FarOut(Sites),
     #[error("{0} vertices have a coordinate that is not a finite number")]
     NotFinite(Sites),
     #[error("{0} triangles name a vertex that is not there")]
@@ -174,8 +180,12 @@ fn with_area(
     let triangles = kept.iter().map(|&t| given[t as usize]).collect();
     let soup = TriangleMesh { vertices: mesh.vertices.clone(), triangles };
     report.diagonal = diagonal(&soup);
-    if soup.triangles.iter().all(|t| area(&soup, t) <= 1e-14 * report.diagonal * report.diagonal) {
-        return Err(PreparationError::AllDegenerate { triangles: mesh.triangles.len() });
+    if soup.triangles.iter().all(|t| area(&soup, t) <= NO_AREA * report.diagonal * report.diagonal) {
+        let (far, triangles) = (outlying(mesh), mesh.triangles.len());
+        return Err(match far.count {
+            0 => PreparationError::AllDegenerate { triangles },
+            _ => PreparationError::FarOut(far),
+        });
     }
     Ok((soup, kept))
 }

@@ -50,8 +50,6 @@ pub enum WebhookError {
 #[derive(Debug, Clone)]
 pub struct Settings {
     pub file: TargetFile,
-    /// Whether the file must be there at the start, since the operator named it.
-    pub must_exist: bool,
     pub schedule: Schedule,
     /// How long a target may take to answer.
     pub timeout: Duration,
@@ -67,7 +65,6 @@ pub async fn start(settings: Settings, jobs: &JobService) -> Result<(), WebhookE
     let mut crew = Crew::new();
     match settings.file.read_aside().await? {
         Some(targets) => crew.serve(&settings, &outbox, targets).await?,
-        None if settings.must_exist => return Err(settings.file.missing().into()),
         // What waits for the targets of before must not be given up because a file was lost.
         None => match outbox.listeners().await? {
             0 => {}
@@ -86,9 +83,7 @@ pub async fn start(settings: Settings, jobs: &JobService) -> Result<(), WebhookE
 /// # Errors
 /// When the file cannot be used, or is not there although it must or there are targets out of it.
 pub async fn check(settings: &Settings, jobs: &JobService) -> Result<(), WebhookError> {
-    if settings.file.read_aside().await?.is_none()
-        && (settings.must_exist || jobs.outbox().listeners().await? > 0)
-    {
+    if settings.file.read_aside().await?.is_none() && jobs.outbox().listeners().await? > 0 {
         return Err(settings.file.missing().into());
     }
     Ok(())

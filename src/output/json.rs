@@ -26,6 +26,16 @@ pub fn read_json(bytes: &[u8]) -> Result<ResultDocument, OutputError> {
     Ok(document)
 }
 
+/// Whether bytes are such a document, of whatever version and however whole: for those who expect something else.
+pub fn is_result(bytes: &[u8]) -> bool {
+    #[derive(serde::Deserialize)]
+    struct Probe {
+        schema: String,
+    }
+    let family = SCHEMA.split_inclusive('/').next().unwrap_or(SCHEMA);
+    serde_json::from_slice::<Probe>(bytes).is_ok_and(|probe| probe.schema.starts_with(family))
+}
+
 /// Fails when a node, a branch or the quality holds a number that is not finite.
 pub(super) fn check_finite(document: &ResultDocument) -> Result<(), OutputError> {
     let broken = |place: String| Err(OutputError::NotFinite { place });

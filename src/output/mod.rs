@@ -16,7 +16,7 @@ pub use document::{
     WarningRecord,
 };
 pub use gltf::{write_glb, write_gltf};
-pub use json::{read_json, write_json};
+pub use json::{is_result, read_json, write_json};
 pub use parameters::ParameterValue;
 pub use quality::{CenterednessRecord, HomotopyRecord, QualityRecord};
 

@@ -137,6 +137,11 @@ pub struct Phantom {
     pub surface: SurfaceSummary,
 }
 
+/// A length of some micrometres or more, for messages: without what a product of decimals is off by.
+fn plain(millimetres: f64) -> f64 {
+    (millimetres * 1e6).round() / 1e6
+}
+
 /// Why there is no phantom.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PhantomError {
@@ -148,10 +153,11 @@ pub enum PhantomError {
     Voxel { voxel: f64 },
     #[error("noise of {noise} voxels is not a number from 0 to 1")]
     Noise { noise: f64 },
-    #[error("a voxel of {voxel} mm makes too many voxels; take a larger one")]
+    #[error("a voxel of {} mm makes too many voxels; take a larger one", plain(*voxel))]
     TooFine { voxel: f64 },
     #[error(
-        "a voxel of {voxel} mm is too coarse for the thinnest branch or gap of this {kind}; take a smaller one"
+        "a voxel of {} mm is too coarse for the thinnest branch or gap of this {kind}; take a smaller one",
+        plain(*voxel)
     )]
     TooCoarse { kind: Kind, voxel: f64 },
 }

@@ -14,6 +14,7 @@ use tokio::net::TcpListener;
 
 use crate::issuer::{AUDIENCE, Keys, Signer, arguments, but, claims, set};
 use crate::service::{Service, problem, without_settings};
+use crate::tls::logged;
 use crate::tokens::{list, made_key, until};
 
 /// An issuer that says where its keys are.
@@ -133,7 +134,8 @@ async fn a_configuration_that_does_not_fit_gives_no_keys() {
         issuer.put(status, text);
         let service = Service::start(&issuer.words());
         problem(list(&service, &token).await, 503, "keys-unavailable").await;
-        assert!(service.log().contains(said), "{said}: {}", service.log());
+        let log = service.log_with(said).await;
+        assert!(log.contains(said), "{said}: {log}");
         let (status, body) = ready(&service).await;
         assert!(
             status == 503 && body["detail"].as_str().unwrap().contains("the issuer's keys did not come"),
@@ -182,11 +184,35 @@ async fn an_issuer_that_never_answered_is_told_by_readiness() {
         "{body}"
     );
     assert_eq!(list(&beside, &key).await.status(), 200);
+    logged(&alone, "no token is let in until they come", 1).await;
     Keys::new(set(&[&signer])).serve(listener);
     for service in [&alone, &beside] {
         until(service, &token, 200).await;
         let (status, body) = ready(service).await;
         assert!(status == 200 && body.get("warnings").is_none(), "{body}");
     }
-    assert_eq!(alone.log().matches("not ready").count(), 1, "{}", alone.log());
+    let log = alone.log();
+    assert!(log.matches("not ready").count() == 1 && !log.contains("stay those known before"), "{log}");
+}
+
+#[tokio::test]
+async fn an_issuer_that_withdraws_all_its_keys_is_told_by_readiness() {
+    let signer = Signer::new("one", Algorithm::ES256);
+    let token = signer.sign(&claims("anna", "read"));
+    let keys = Keys::new(set(&[&signer]));
+    let service = Service::start(&arguments(&served(&keys).await));
+    until(&service, &token, 200).await;
+    assert_eq!(ready(&service).await.0, 200);
+    // None that signatures can be checked with.
+    keys.put(StatusCode::OK, json!({"keys": [{"kty": "oct", "k": "c2VjcmV0"}]}).to_string());
+    // The keys in force are asked for again where a token names another.
+    let unknown = Signer::new("two", Algorithm::ES256).sign(&claims("anna", "read"));
+    let begin = std::time::Instant::now();
+    while list(&service, &token).await.status() != 401 {
+        assert!(begin.elapsed() < crate::service::PATIENCE, "{}", service.log());
+        list(&service, &unknown).await;
+        tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+    }
+    let (status, body) = ready(&service).await;
+    assert!(status == 503 && body["detail"].as_str().unwrap().contains("or it has none"), "{body}");
 }

@@ -62,6 +62,16 @@ async fn every_defect_is_named_with_its_count_and_places_and_no_job_is_made() {
     );
     assert_eq!(defects(&body)[0].0, "all-degenerate");
 
+    let mut far: TriangleMesh = meshes::tube(20, 8);
+    // The second that the file names.
+    far.vertices[8].y = 1e30;
+    let body = inspect(&service, meshes::stl(&far)).await;
+    assert_eq!(
+        (&body["acceptable"], defects(&body)),
+        (&json!(false), vec![("far-out", 1, vec![1])]),
+        "{body}"
+    );
+
     let list: Value = service.get("/v1/jobs").send().await.unwrap().json().await.unwrap();
     assert_eq!(list["jobs"], json!([]));
     service.assert_no_files().await;

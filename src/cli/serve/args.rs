@@ -55,7 +55,8 @@ pub struct Args {
     /// Triangles of the largest mesh; it may have half as many vertices and one in a hundred more. They bound the memory of a check.
     #[arg(long, env = "ROSALINE_MAX_TRIANGLES", default_value = "40000000", value_name = "N", value_parser = positive::<NonZeroUsize>)]
     pub max_triangles: NonZeroUsize,
-    /// Uploads that are read and checked at the same time; each takes its file's size and its mesh in memory.
+    /// Uploads that are read and checked at the same time, and as many small ones beside them; each takes its file's size
+    /// and its mesh in memory.
     #[arg(long, env = "ROSALINE_VALIDATIONS", default_value = "2", value_name = "N", value_parser = positive::<NonZeroUsize>)]
     pub validations: NonZeroUsize,
     /// File of the API keys, which `rosaline keys` makes [default: keys.json in the data folder]. Where there is one,

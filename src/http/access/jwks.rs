@@ -12,14 +12,11 @@ use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
 use super::broken::Broken;
-use super::discovery::{Discovery, DiscoveryError, shown};
+use super::discovery::{DiscoveryError, shown};
+use super::fetching::Way;
 use crate::jobs::operator_file::{self, Stamp, stamp};
-use crate::outbound::{Client, OutboundError, Url};
+use crate::outbound::{OutboundError, Url};
 
-/// Bytes of a key set.
-const MOST: usize = 1 << 20;
-/// How long a fetch may take.
-const PATIENCE: Duration = Duration::from_secs(5);
 /// How often the keys at a URL are fetched again, and how soon after a failure.
 const REFRESH: Duration = Duration::from_secs(5 * 60);
 const RETRY: Duration = Duration::from_secs(10);
@@ -86,27 +83,10 @@ pub(super) struct Jwks {
 enum Place {
     File(PathBuf),
     Away {
-        way: Way,
+        way: Box<Way>,
         /// When an unknown key last made the keys be fetched. Held meanwhile: those that come then wait for it.
         asked: Arc<Mutex<Option<Instant>>>,
     },
-}
-
-/// How to the keys that are not in a file.
-enum Way {
-    At(Client),
-    By(Discovery),
-}
-
-impl Way {
-    async fn keys(&self) -> Result<Vec<PublicKey>, JwksError> {
-        let text = match self {
-            Way::At(client) => client.get(MOST).await?,
-            // Each time, as they may have moved.
-            Way::By(discovery) => Client::new(discovery.keys().await?, PATIENCE)?.get(MOST).await?,
-        };
-        parse(&text)
-    }
 }
 
 #[derive(Default)]
@@ -140,15 +120,15 @@ impl Jwks {
     /// # Errors
     /// When the file cannot be used, the issuer's name is no address to ask, or no client can be made.
     pub(super) fn open(source: Option<JwksSource>, issuer: &str) -> Result<Self, JwksError> {
-        let away = |way| (Place::Away { way, asked: Arc::default() }, State::default());
+        let away = |way| (Place::Away { way: Box::new(way), asked: Arc::default() }, State::default());
         let (source, state) = match source {
             Some(JwksSource::File(path)) => {
                 let stamp = stamp(&path);
                 let keys = read(&path)?;
                 (Place::File(path), State { keys, stamp, ..State::default() })
             }
-            Some(JwksSource::Url(url)) => away(Way::At(Client::new(url, PATIENCE)?)),
-            None => away(Way::By(Discovery::of(issuer, PATIENCE)?)),
+            Some(JwksSource::Url(url)) => away(Way::to(url)?),
+            None => away(Way::by(issuer)?),
         };
         Ok(Self { source, state: RwLock::new(state), turn: std::sync::Mutex::default() })
     }
@@ -186,8 +166,14 @@ impl Jwks {
     }
 
     /// Whether there are keys that a token can be checked with at `now`.
-    pub(super) fn is_there(&self, now: Instant) -> bool {
+    fn is_there(&self, now: Instant) -> bool {
         self.state.read().unwrap_or_else(PoisonError::into_inner).is_there(&self.source, now)
+    }
+
+    /// Whether one may fit: an issuer may have withdrawn all of them.
+    pub(super) fn has_keys(&self, now: Instant) -> bool {
+        let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
+        state.is_there(&self.source, now) && !state.keys.is_empty()
     }
 
     fn known(&self, id: Option<&str>, algorithm: Algorithm) -> Result<Option<DecodingKey>, NoKeys> {
@@ -262,20 +248,28 @@ impl Jwks {
     }
 
     /// Whether the keys were fetched. An answer that is no key set takes none away: that it was sent by the issuer is not
-    /// known, and a key that was withdrawn is gone with the next good answer, or after [`STALE`].
+    /// known, and a key that was withdrawn is gone with the next good answer, or after [`STALE`]. A set without a key is a
+    /// good answer, by which all are withdrawn.
     async fn fetch(&self) -> bool {
         let Place::Away { way, .. } = &self.source else { return true };
-        match way.keys().await {
-            Ok(keys) => {
-                let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
-                *state = State { keys, fetched: Some(Instant::now()), ..State::default() };
-                true
+        let keys = match way.text().await.and_then(|text| parse(&text)) {
+            Ok(keys) => keys,
+            Err(error @ JwksError::Empty) => {
+                tracing::error!(%error, "the issuer has withdrawn its keys: no token is let in until it has another");
+                Vec::new()
+            }
+            Err(error) if self.is_there(Instant::now()) => {
+                tracing::error!(%error, "the issuer's keys stay those known before, for a day at most");
+                return false;
             }
             Err(error) => {
-                tracing::error!(%error, "the issuer's keys stay those known before, for a day at most");
-                false
+                tracing::error!(%error, "no keys of the issuer are known: no token is let in until they come");
+                return false;
             }
-        }
+        };
+        let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
+        *state = State { keys, fetched: Some(Instant::now()), ..State::default() };
+        true
     }
 
     /// Fetches keys that are in no file again and again, until `closing`.
@@ -340,7 +334,7 @@ mod tests {
 
     #[test]
     fn an_error_repeats_little_of_a_key_set() {
-        let long = "x".repeat(MOST / 2);
+        let long = "x".repeat(super::super::fetching::MOST / 2);
         for set in [serde_json::json!(long), serde_json::json!({"keys": long})] {
             let said = parse(set.to_string().as_bytes()).err().unwrap().to_string();
             assert!(said.contains("xxx") && said.len() < 1000, "{} bytes", said.len());

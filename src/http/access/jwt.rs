@@ -137,7 +137,7 @@ impl Issuer {
 
     /// Whether there are keys that tokens can be checked with now.
     pub(super) fn has_keys(&self) -> bool {
-        self.keys.is_there(Instant::now())
+        self.keys.has_keys(Instant::now())
     }
 
     /// Keeps the keys fresh until `closing`.

@@ -36,8 +36,8 @@ pub enum KeyError {
     Named { path: String },
     #[error(
         "there are jobs that belong to somebody, and without the key file {path} everybody could see them: put a copy of \
-         it back, make a key with 'rosaline keys add NAME --scope submit,read', accept tokens with --jwt-issuer, or let \
-         everybody in with --insecure"
+         it back, make a key with 'rosaline keys add NAME --scope submit,read --keys {path}', accept tokens with \
+         --jwt-issuer, or let everybody in with --insecure"
     )]
     Lost { path: String },
     #[error("a name has 1 to {NAME_CHARS} letters, digits, '.', '_' and '-'")]
@@ -114,18 +114,49 @@ struct Kept {
     keys: Vec<Key>,
 }
 
-/// The key file, for those who change it.
+/// The key file.
+#[derive(Debug, Clone)]
 pub struct KeyFile {
     path: PathBuf,
+    must_exist: bool,
 }
 
 impl KeyFile {
     pub fn new(path: impl Into<PathBuf>) -> Self {
-        Self { path: path.into() }
+        Self { path: path.into(), must_exist: false }
     }
 
+    /// One that must be there, as the operator named it.
+    pub fn named(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into(), must_exist: true }
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The keys; none where there is no file.
     pub fn list(&self) -> Result<Vec<Key>, KeyError> {
-        Ok(read(&self.path)?.unwrap_or_default())
+        Ok(self.read()?.unwrap_or_default())
+    }
+
+    /// The keys in the file; `None` where there is none.
+    ///
+    /// # Errors
+    /// [`KeyError::Named`] where there is none although it was named.
+    pub fn read(&self) -> Result<Option<Vec<Key>>, KeyError> {
+        let path = || self.path.display().to_string();
+        let text = match operator_file::read(&self.path) {
+            Ok(text) => text,
+            Err(error) if is_absent(&error) && self.must_exist => {
+                return Err(KeyError::Named { path: path() });
+            }
+            Err(error) if is_absent(&error) => return Ok(None),
+            Err(source) => return Err(KeyError::Io { path: path(), source }),
+        };
+        let kept: Kept = serde_json::from_slice(&text)
+            .map_err(|error| KeyError::Damaged { path: path(), detail: error.to_string() })?;
+        Ok(Some(kept.keys))
     }
 
     /// Makes a key; its text, which is kept nowhere. With `inherits` also for the name of a revoked one, whose jobs are
@@ -186,18 +217,6 @@ fn in_force<'k>(keys: &'k mut [Key], name: &str) -> Result<&'k mut Key, KeyError
     found.ok_or_else(|| {
         if was_there { KeyError::Revoked(name.to_owned()) } else { KeyError::Unknown(name.to_owned()) }
     })
-}
-
-/// The keys in the file; `None` where there is none.
-pub(super) fn read(path: &Path) -> Result<Option<Vec<Key>>, KeyError> {
-    let text = match operator_file::read(path) {
-        Ok(text) => text,
-        Err(error) if is_absent(&error) => return Ok(None),
-        Err(source) => return Err(KeyError::Io { path: path.display().to_string(), source }),
-    };
-    let kept: Kept = serde_json::from_slice(&text)
-        .map_err(|error| KeyError::Damaged { path: path.display().to_string(), detail: error.to_string() })?;
-    Ok(Some(kept.keys))
 }
 
 fn is_absent(error: &io::Error) -> bool {

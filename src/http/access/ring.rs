@@ -3,17 +3,17 @@
 //! While the file cannot be read, nobody is let in by a key, as one of those known before may have been revoked; and
 //! nobody is told that their key is wrong, which is not known.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 use super::broken::Broken;
-use super::keys::{Key, KeyError, hash, id_of, read};
+use super::keys::{Key, KeyError, KeyFile, hash, id_of};
 use super::{Caller, Principal};
 use crate::jobs::operator_file::{Stamp, stamp};
 
 /// The keys in force.
 pub struct KeyRing {
-    path: PathBuf,
+    file: KeyFile,
     state: RwLock<State>,
     /// Held from the look at the file until what it held is noted: nothing older comes in place of something newer.
     turn: Mutex<()>,
@@ -41,21 +41,19 @@ impl KeyRing {
     /// # Errors
     /// When the file is there and cannot be read.
     pub fn open(path: impl Into<PathBuf>) -> Result<Self, KeyError> {
-        let path = path.into();
-        let stamp = stamp(&path);
-        let found = read(&path)?;
-        let closed = found.is_some();
-        let state = State { stamp, closed, keys: found.unwrap_or_default(), broken: None };
-        Ok(Self { path, state: RwLock::new(state), turn: Mutex::default() })
+        Self::of(KeyFile::new(path))
     }
 
-    /// The same of a file that must be there, as the operator named it.
-    ///
     /// # Errors
-    /// Also when it is not there.
-    pub fn open_named(path: &Path) -> Result<Self, KeyError> {
-        let ring = Self::open(path)?;
-        if ring.is_closed() { Ok(ring) } else { Err(KeyError::Named { path: path.display().to_string() }) }
+    /// Also when it is not there, and must be.
+    pub fn of(file: KeyFile) -> Result<Self, KeyError> {
+        let stamp = stamp(file.path());
+        let found = file.read()?;
+        let closed = found.is_some();
+        let state = State { stamp, closed, keys: found.unwrap_or_default(), broken: None };
+        // Later it is gone, not missing at a start.
+        let file = KeyFile::new(file.path());
+        Ok(Self { file, state: RwLock::new(state), turn: Mutex::default() })
     }
 
     /// Whether a key is needed.
@@ -89,7 +87,7 @@ impl KeyRing {
     /// [`KeyError::Missing`] where there was a file and is none now.
     pub fn check(&self) -> Result<(), KeyError> {
         let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
-        self.read_again(stamp(&self.path))
+        self.read_again(stamp(self.file.path()))
     }
 
     /// Whether there is a key that lets somebody in.
@@ -99,11 +97,11 @@ impl KeyRing {
     }
 
     fn renew(&self) {
-        if self.is_known(stamp(&self.path)) {
+        if self.is_known(stamp(self.file.path())) {
             return;
         }
         let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
-        let stamp = stamp(&self.path);
+        let stamp = stamp(self.file.path());
         // Of those that waited one reads it.
         if !self.is_known(stamp) {
             // Noted and logged.
@@ -118,7 +116,7 @@ impl KeyRing {
 
     /// In its turn. `stamp`: the file's, of before it is read.
     fn read_again(&self, stamp: Stamp) -> Result<(), KeyError> {
-        let found = read(&self.path);
+        let found = self.file.read();
         let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
         state.stamp = stamp;
         let error = match found {
@@ -127,7 +125,7 @@ impl KeyRing {
                 return Ok(());
             }
             Ok(None) if !state.closed => return Ok(()),
-            Ok(None) => KeyError::Missing { path: self.path.display().to_string() },
+            Ok(None) => KeyError::Missing { path: self.file.path().display().to_string() },
             Err(error) => error,
         };
         (state.keys, state.closed) = (Vec::new(), true);
@@ -147,7 +145,7 @@ fn is_same(one: &str, other: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{KeyFile, Scope};
+    use super::super::Scope;
     use super::*;
 
     fn name(ring: &KeyRing, token: &str) -> Option<String> {

@@ -95,8 +95,9 @@ async fn unreadable(app: &App) -> Vec<&'static str> {
     faults.into_iter().map(|(reason, _)| reason).collect()
 }
 
-/// Why tokens get a 503.
-const NO_ISSUER: &str = "the issuer's keys did not come, so its tokens cannot be checked; the log says why";
+/// Why no token is let in.
+const NO_ISSUER: &str =
+    "the issuer's keys did not come, or it has none, so no token is let in; the log says why";
 
 /// What of the keys cannot be read, and why.
 async fn gate(app: &App) -> Vec<(&'static str, String)> {

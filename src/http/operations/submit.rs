@@ -77,8 +77,7 @@ async fn inspect(
     Received { upload, asked, hint, .. }: Received,
     place: Place,
 ) -> Result<Response, Problem> {
-    let turn = app.validator().turn().await?;
-    drop(place);
+    let turn = app.validator().turn(upload.size(), place).await?;
     let bytes = upload.read().await?;
     let inspection =
         app.validator().inspect(turn, bytes, hint, asked.parameters, upload.sha256().to_owned()).await?;
@@ -117,8 +116,7 @@ async fn accept(
         spec.idempotency = Some(request);
     }
     let checking = span.child("check");
-    let turn = app.validator().turn().await?;
-    drop(place);
+    let turn = app.validator().turn(upload.size(), place).await?;
     let bytes = upload.read().await?;
     let format = app.validator().check(turn, bytes, hint, asked.parameters).await?;
     drop(checking);

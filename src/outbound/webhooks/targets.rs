@@ -22,7 +22,7 @@ pub enum TargetError {
     #[error("the webhook file {path} is damaged: {detail}; mend it, or remove it and add the targets again")]
     Damaged { path: String, detail: String },
     #[error(
-        "the webhook file {0} is not there; put it back, or make one with 'rosaline webhooks add NAME --url URL'"
+        "the webhook file {0} is not there; put it back, or make one with 'rosaline webhooks add NAME --url URL --webhooks {0}'"
     )]
     Missing(String),
     #[error("a name has 1 to {NAME_CHARS} letters, digits, '.', '_' and '-'")]
@@ -128,11 +128,17 @@ struct Kept {
 #[derive(Debug, Clone)]
 pub struct TargetFile {
     path: PathBuf,
+    must_exist: bool,
 }
 
 impl TargetFile {
     pub fn new(path: impl Into<PathBuf>) -> Self {
-        Self { path: path.into() }
+        Self { path: path.into(), must_exist: false }
+    }
+
+    /// One that must be there, as the operator named it.
+    pub fn named(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into(), must_exist: true }
     }
 
     pub fn path(&self) -> &Path {
@@ -152,9 +158,15 @@ impl TargetFile {
     }
 
     /// The targets; `None` where there is no file. Blocks.
-    fn read(&self) -> Result<Option<Vec<Target>>, TargetError> {
+    ///
+    /// # Errors
+    /// [`TargetError::Missing`] where there is none although it was named.
+    pub fn read(&self) -> Result<Option<Vec<Target>>, TargetError> {
         let text = match operator_file::read(&self.path) {
             Ok(text) => text,
+            Err(error) if error.kind() == io::ErrorKind::NotFound && self.must_exist => {
+                return Err(self.missing());
+            }
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(source) => return Err(self.failed(source)),
         };
