@@ -24,3 +24,8 @@ fn a_trunk_whose_short_wide_end_a_front_came_to_aslant_is_passed_once() {
 fn joints_that_the_fit_brings_together_are_one() {
     check(Kind::Trifurcation, 3, &Settings { noise: 0.3, ..Settings::of(Kind::Trifurcation) });
 }
+
+#[test]
+fn a_sac_that_the_front_along_its_vessel_climbs_is_kept() {
+    check(Kind::Aneurysm, 304, &Settings { noise: 0.3, ..Settings::of(Kind::Aneurysm) });
+}

@@ -11,6 +11,9 @@ use super::root::{Among, Root, roots};
 use super::{Branching, Choice, ROOT, chains, farthest};
 use crate::centerline::{Control, ExtractError, Stage};
 
+/// A tip that stands so many times as high as it must is an end from wherever it was seen.
+const HIGH: f64 = 1.5;
+
 /// The Reeb graph as seen from one root.
 struct View {
     graph: ReebGraph,
@@ -43,18 +46,8 @@ pub fn skeleton(
     let graph = reeb_graph(surface, &edges, &[source], cancel)?;
     let first = chains(surface, &graph, &choice, cancel)?;
     control.report(Stage::Segmentation, 0.0)?;
-    let seen = match picks.root {
-        Some(pick) => vec![root_near(surface, &graph, &first, pick.vertex)],
-        None => roots(surface, &graph, &first, among),
-    };
-    let mut best = best_view(surface, &edges, seen, &choice, control)?;
-    // Where the root is no end, fronts started on a vessel's side: what they leave for the last may be none either.
-    if picks.root.is_none() && best.as_ref().is_some_and(|best| !best.branching.ends_at(ROOT)) {
-        let sure = Branching { doubtful: Vec::new(), ..first.clone() };
-        let seen = best_view(surface, &edges, roots(surface, &graph, &sure, among), &choice, control)?;
-        best = seen.filter(|seen| seen.branching.ends_at(ROOT)).or(best);
-    }
     let first = View { graph, branching: first, edges, source };
+    let best = seen_from_an_end(surface, &first, picks, among, &choice, control)?;
     let View { graph, branching, mut edges, source } = best.unwrap_or(first);
     if picks.include.is_empty() && picks.exclude.is_empty() {
         return Ok((graph, branching));
@@ -65,6 +58,37 @@ pub fn skeleton(
     let graph = reeb_graph(surface, &edges, &[source], cancel)?;
     let branching = chains(surface, &graph, &choice, cancel)?;
     Ok((graph, Branching { raised, ..branching }))
+}
+
+/// What is seen from the end that distances are best taken from; `None` where that is no better than what was seen `first`.
+fn seen_from_an_end(
+    surface: &Surface,
+    first: &View,
+    picks: &Picks,
+    among: Among,
+    choice: &Choice<'_>,
+    control: &Control<'_>,
+) -> Result<Option<View>, ExtractError> {
+    let View { graph, branching, edges, .. } = first;
+    let seen = match picks.root {
+        Some(pick) => vec![root_near(surface, graph, branching, pick.vertex)],
+        None => roots(surface, graph, branching, among),
+    };
+    let mut best = best_view(surface, edges, seen, choice, control)?;
+    // Where the root is no end, fronts started on a vessel's side: what they leave for the last may be none either.
+    if picks.root.is_none() && best.as_ref().is_some_and(|best| !best.branching.ends_at(ROOT)) {
+        let sure = Branching { doubtful: Vec::new(), ..branching.clone() };
+        let seen = best_view(surface, edges, roots(surface, graph, &sure, among), choice, control)?;
+        best = seen.filter(|seen| seen.branching.ends_at(ROOT)).or(best);
+    }
+    // A front square to the vessel climbs a wide sac on its side while it passes; one that came aslant may not have.
+    let sees_fewer = |best: &View| best.branching.ends() < branching.ends();
+    if picks.root.is_none() && branching.ends_at(ROOT) && best.as_ref().is_some_and(sees_fewer) {
+        let high = Choice { tip_height: HIGH * choice.tip_height, ..*choice };
+        let high = chains(surface, graph, &high, &control.cancel)?;
+        best = best.filter(|best| best.branching.ends() >= high.ends());
+    }
+    Ok(best)
 }
 
 /// What is seen from the best of some roots: one that stays an end, and then the one that sees most ends.
