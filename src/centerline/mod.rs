@@ -146,6 +146,10 @@ fn component(
         opened = Some((next, picks));
     }
     line.warnings.extend(cut_ends::warning(index, &line.graph, &findings));
+    // What is excluded is missed as it should be.
+    if picks.exclude.is_empty() {
+        line.warnings.extend(cut_ends::openings::warning(index, surface, &line.graph));
+    }
     Ok(line)
 }
 

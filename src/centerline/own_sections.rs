@@ -24,8 +24,8 @@ use crate::centerline::triangle_grid::TriangleGrid;
 /// Fewest sides in a quarter of a section that show a wall; nothing tells of where that is but a few sides, as in a vessel of
 /// three edges across.
 const SIDES: usize = 4;
-/// Sine of a turn that is none.
-const STRAIGHT: f64 = 1e-6;
+/// Sine of a turn that is none: single precision turns the two sides of a face by up to 1e-4, a polygon of 200 corners by 0.03.
+const STRAIGHT: f64 = 1e-3;
 
 /// A section that is one branch's own.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,7 +39,8 @@ pub struct OwnSection {
     pub radius: f64,
     /// The same of the wall, on which the vertices lie.
     pub wall_radius: f64,
-    /// Distance of the nearest quarter of the polygon's faces around the point.
+    /// Distance of the nearest quarter of the polygon's faces around the point. Infinite where they are so many that they
+    /// show the wall.
     pub facets: f64,
     /// The same of the wall: by as much more as its radius is than the polygon's. Infinite where the mesh is too coarse to
     /// tell.
@@ -74,7 +75,8 @@ pub fn own_sections(
             let near = if shows_wall { middle * (wall_radius / radius).max(1.0) } else { f64::INFINITY };
             let faces = faces(&cut);
             let as_sides = faces.len() == cut.points.len();
-            let facets = if as_sides { middle } else { nearest_quarter(faces.into_iter()).0 };
+            let (facets, count) = if as_sides { (middle, sides) } else { nearest_quarter(faces.into_iter()) };
+            let facets = if count < SIDES { facets } else { f64::INFINITY };
             OwnSection {
                 branch: number,
                 place,

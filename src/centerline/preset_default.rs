@@ -221,7 +221,7 @@ fn fit_joints(
         for (&node, joint) in nodes.iter().zip(fitted).filter_map(|(node, joint)| Some((node, joint?))) {
             place(grid, network, node, &joint);
         }
-        nodes = network.contract_close();
+        nodes = network.contract_close(true);
     }
     Ok(())
 }

@@ -123,7 +123,7 @@ impl Network {
         for index in 0..self.tracks.len() {
             let track = &self.tracks[index];
             let inner = track.from != track.to && !self.is_end(track.from) && !self.is_end(track.to);
-            let length: f64 = track.stations.windows(2).map(|w| (w[1].point - w[0].point).norm()).sum();
+            let length = track.way();
             let radius = track.stations.iter().map(|s| s.section_radius).fold(0.0, f64::max);
             if !inner || (trusted[index] && length > radius) || track.rings.len() > 12 {
                 continue;
@@ -134,8 +134,9 @@ impl Network {
         self.retain(&keep);
     }
 
-    /// Joins joints whose centres turned out to lie within half a radius of each other; the nodes that stay.
-    pub fn contract_close(&mut self) -> Vec<usize> {
+    /// Joins joints whose centres turned out to lie within half a radius of each other; the nodes that stay. `carried`:
+    /// whether the lines of those that go are led to the centres that stay.
+    pub fn contract_close(&mut self, carried: bool) -> Vec<usize> {
         const CLOSE: f64 = 0.5;
         let mut joined = Vec::new();
         let mut keep = vec![true; self.tracks.len()];
@@ -143,7 +144,11 @@ impl Network {
             let track = &self.tracks[index];
             let inner = track.from != track.to && !self.is_end(track.from) && !self.is_end(track.to);
             let (Some(a), Some(b)) = (self.anchor(track.from), self.anchor(track.to)) else { continue };
-            if inner && (a.point - b.point).norm() < CLOSE * a.radius.max(b.radius) {
+            let close = (a.point - b.point).norm() < CLOSE * a.radius.max(b.radius);
+            if inner && close && self.is_straightest(index) {
+                if carried {
+                    self.carry(track.to, index, &(a.point - b.point), a.radius.max(b.radius));
+                }
                 joined.push(self.join(index));
                 *keep = false;
             }
@@ -155,9 +160,38 @@ impl Network {
         joined
     }
 
+    /// Whether no other track between the same nodes is shorter: that would be the joint, and this one a handle on it.
+    fn is_straightest(&self, index: usize) -> bool {
+        let ends = |track: &Track| [track.from.min(track.to), track.from.max(track.to)];
+        let own = &self.tracks[index];
+        let beside = self.tracks.iter().filter(|&other| ends(other) == ends(own));
+        beside.map(Track::way).all(|way| way >= own.way())
+    }
+
+    /// Leads the branches at a joint that is joined away, all but the track to the one that stays, to that one's centre.
+    fn carry(&mut self, gone: usize, but: usize, moved: &Vector3<f64>, radius: f64) {
+        /// How far from the joint the lines move along, in its radii.
+        const REACH: f64 = 2.0;
+        for (index, at_end) in self.incident(gone).into_iter().filter(|&(index, _)| index != but) {
+            self.oriented(index, at_end, |track| {
+                let mut way = 0.0;
+                let mut before: Option<Point3<f64>> = None;
+                for station in track.stations.iter_mut().rev() {
+                    way +=
+                        before.replace(station.point).map_or(0.0, |before| (station.point - before).norm());
+                    let share = (1.0 - way / (REACH * radius)).max(0.0);
+                    station.point += moved * (share * share);
+                }
+            });
+        }
+    }
+
     /// Makes the two nodes of a track one, which it returns.
     fn join(&mut self, track: usize) -> usize {
         let (gone, stays) = (self.tracks[track].to, self.tracks[track].from);
+        if let (Some(other), Some(anchor)) = (self.anchor(gone), &mut self.nodes[stays].anchor) {
+            anchor.radius = anchor.radius.max(other.radius);
+        }
         for other in &mut self.tracks {
             if other.from == gone {
                 other.from = stays;
@@ -216,5 +250,68 @@ impl Network {
             graph.branches.push(Branch::new(from, to, points, radii));
         }
         graph
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Unit;
+
+    use super::*;
+    use crate::centerline::segmentation::track::Station;
+
+    /// Joints and ends at places along x with radius 1, and tracks between them through `middles`.
+    fn network(places: &[f64], tracks: &[(usize, usize, &[[f64; 2]])]) -> Network {
+        let anchor = |&x: &f64| Some(Anchor { point: Point3::new(x, 0.0, 0.0), radius: 1.0 });
+        let nodes = places.iter().map(|place| NetworkNode { vertex: 0, anchor: anchor(place) }).collect();
+        let station = |&[x, y]: &[f64; 2]| {
+            Station::rough(Point3::new(x, y, 0.0), Unit::new_normalize(Vector3::x()), 1.0, 0)
+        };
+        let track = |&(from, to, middles): &(usize, usize, &[[f64; 2]])| Track {
+            chain: 0,
+            from,
+            to,
+            rings: Vec::new(),
+            stations: middles.iter().map(station).collect(),
+            bulge: None,
+            stiffness: FIRM,
+            process: Process::default(),
+        };
+        Network { nodes, tracks: tracks.iter().map(track).collect() }
+    }
+
+    #[test]
+    fn a_chain_of_close_joints_becomes_one() {
+        let ways: [(usize, usize, &[[f64; 2]]); 7] = [
+            (3, 0, &[[-4.0, 0.0], [-0.5, 0.0]]),
+            (0, 1, &[[0.0, 0.0], [0.3, 0.0]]),
+            (1, 2, &[[0.3, 0.0], [0.6, 0.0]]),
+            (0, 4, &[[0.0, 0.5], [0.0, 9.0]]),
+            (1, 5, &[[0.3, 0.5], [0.3, 9.0]]),
+            (2, 6, &[[0.6, 0.5], [0.6, 9.0]]),
+            (2, 7, &[[0.6, -0.5], [0.6, -9.0]]),
+        ];
+        let mut found = network(&[0.0, 0.3, 0.6, -5.0, 0.0, 0.3, 0.6, 0.6], &ways);
+        assert_eq!(found.contract_close(true), [0]);
+        assert_eq!((found.tracks.len(), found.incident(0).len()), (5, 5));
+        // The last branch was led to the first joint's centre, its far end not.
+        let [near, far] = [0, 1].map(|i| found.tracks[4].stations[i].point.x);
+        assert!((near - 0.0).abs() < 1e-9 && (far - 0.6).abs() < 1e-9, "{near} {far}");
+        assert!(found.contract_close(true).is_empty());
+    }
+
+    #[test]
+    fn a_handle_on_a_joint_stays_whatever_its_number() {
+        let handle: [[f64; 2]; 3] = [[0.0, 0.0], [0.2, 3.0], [0.4, 0.0]];
+        let ways: [(usize, usize, &[[f64; 2]]); 4] = [
+            (0, 1, &handle),
+            (0, 1, &[[0.0, 0.0], [0.4, 0.0]]),
+            (2, 0, &[[-4.0, 0.0], [-0.5, 0.0]]),
+            (1, 3, &[[0.5, 0.0], [4.0, 0.0]]),
+        ];
+        let mut found = network(&[0.0, 0.4, -5.0, 5.0], &ways);
+        assert_eq!(found.contract_close(true), [0]);
+        assert_eq!(found.tracks.len(), 3);
+        assert_eq!((found.tracks[0].stations.len(), found.tracks[0].from, found.tracks[0].to), (3, 0, 0));
     }
 }

@@ -5,6 +5,7 @@
 //! that they go on as. Where nothing of the wall ahead lies outside that tube, and what closes it is a plane that stands
 //! aslant, the vessel was cut there.
 
+pub mod openings;
 mod plane;
 mod region;
 mod tube;

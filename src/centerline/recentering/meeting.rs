@@ -49,7 +49,7 @@ pub fn meet_in_joints(
             meet(grid, owners, network, &batch, control)?;
         }
         if round == 0 {
-            let _ = network.contract_close();
+            let _ = network.contract_close(false);
         }
         settle(grid.surface(), network);
     }

@@ -30,8 +30,8 @@ use crate::centerline::{Control, ExtractError};
 
 /// Rounds of fitting shape and centre. The first choose how stiff they are; the others keep to that and hear unusual
 /// vertices less.
-const CHOOSING: usize = 2;
-const ROUNDS: usize = 4;
+const CHOOSING: usize = 3;
+const ROUNDS: usize = 5;
 /// Stations of the shortest run, and vertices for each unknown that even the stiffest tube has.
 const STATIONS: usize = 8;
 const VERTICES: usize = 24;

@@ -101,6 +101,11 @@ impl Track {
         self.bulge.is_none()
     }
 
+    /// Way from its first to its last station.
+    pub fn way(&self) -> f64 {
+        self.stations.windows(2).map(|pair| (pair[1].point - pair[0].point).norm()).sum()
+    }
+
     /// Lets `work` see the track from the side of its end, or turned around.
     pub fn oriented<T>(&mut self, at_end: bool, work: impl FnOnce(&mut Self) -> T) -> T {
         if at_end {
