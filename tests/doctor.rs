@@ -204,6 +204,9 @@ async fn keys_and_addresses_that_do_not_fit_are_told() {
     fs::write(&file, "{").unwrap();
     wrong(&mut doctor(data.path()), "nobody is let in");
     wrong(doctor(data.path()).args(["--keys", "/nowhere/keys.json"]), "--keys /nowhere/keys.json");
+    let (_, said) = asked(doctor(data.path()).args(["--keys", "/nowhere/k.json", "--listen", "0.0.0.0:0"]));
+    let line = said.lines().find(|line| line.contains("without a key")).unwrap();
+    assert!(line.contains("--keys /nowhere/k.json'") && !line.contains("--data"), "{line}");
     fs::remove_file(&file).unwrap();
     assert!(asked(&mut doctor(data.path())).0, "its jobs belong to nobody");
     changed(data.path(), "UPDATE jobs SET owner = 'pacs'").await;

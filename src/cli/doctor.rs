@@ -257,8 +257,11 @@ fn reach(address: SocketAddr, is_closed: bool, args: &serve::Args) -> Finding {
         (false, false, false) => Finding::wrong(
             format!("other machines would reach {address} without a key: the service does not start"),
             format!(
-                "make a key with 'rosaline keys add NAME --scope submit,read --data {}', or listen on 127.0.0.1",
-                args.data.display()
+                "make a key with 'rosaline keys add NAME --scope submit,read {}', or listen on 127.0.0.1",
+                match &args.keys {
+                    Some(keys) => format!("--keys {}", keys.display()),
+                    None => format!("--data {}", args.data.display()),
+                }
             ),
         ),
     }
