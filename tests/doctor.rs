@@ -204,6 +204,9 @@ async fn keys_and_addresses_that_do_not_fit_are_told() {
     fs::write(&file, "{").unwrap();
     wrong(&mut doctor(data.path()), "nobody is let in");
     wrong(doctor(data.path()).args(["--keys", "/nowhere/keys.json"]), "--keys /nowhere/keys.json");
+    let (_, said) = asked(doctor(data.path()).args(["--keys", "/nowhere/k.json", "--listen", "0.0.0.0:0"]));
+    let line = said.lines().find(|line| line.contains("without a key")).unwrap();
+    assert!(line.contains("--keys /nowhere/k.json'") && !line.contains("--data"), "{line}");
     fs::remove_file(&file).unwrap();
     assert!(asked(&mut doctor(data.path())).0, "its jobs belong to nobody");
     changed(data.path(), "UPDATE jobs SET owner = 'pacs'").await;
@@ -271,6 +274,8 @@ async fn limits_that_do_not_fit_are_told() {
     wrong(doctor(data.path()).args(["--max-upload", "1000000GiB"]), "are free on the data folder's disk");
     let (_, said) = asked(doctor(data.path()).args(["--max-upload", "1MiB", "--max-uploads", "1000000000"]));
     assert!(said.contains("note   ") && said.contains("of the largest meshes"), "{said}");
+    // Of each a small file may be in memory.
+    assert!(said.contains("or --max-uploads"), "{said}");
     let program = env!("CARGO_BIN_EXE_rosaline");
     let mut shell = Command::new("sh");
     shell.args(["-c", "ulimit -n 100; exec \"$0\" doctor --listen 127.0.0.1:0 --data \"$1\"", program]);

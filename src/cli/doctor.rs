@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use super::serve::{self, key_file, settings, target_file};
+use super::serve::{self, key_file, limits, settings, target_file};
 use super::{Failure, Places};
 use crate::http::Tls;
 use crate::http::access::{Discovery, Issuer, JwksSource, KeyError};
@@ -257,8 +257,11 @@ fn reach(address: SocketAddr, is_closed: bool, args: &serve::Args) -> Finding {
         (false, false, false) => Finding::wrong(
             format!("other machines would reach {address} without a key: the service does not start"),
             format!(
-                "make a key with 'rosaline keys add NAME --scope submit,read --data {}', or listen on 127.0.0.1",
-                args.data.display()
+                "make a key with 'rosaline keys add NAME --scope submit,read {}', or listen on 127.0.0.1",
+                match &args.keys {
+                    Some(keys) => format!("--keys {}", keys.display()),
+                    None => format!("--data {}", args.data.display()),
+                }
             ),
         ),
     }
@@ -283,10 +286,6 @@ fn audit(args: &serve::Args) -> Finding {
     }
 }
 
-/// Bytes that the check of an upload may take for each triangle of the largest mesh, beside its file: measured on the worst
-/// meshes (docs/reliability.md, "What the check of an upload takes").
-const CHECK_BYTES: u64 = 250;
-
 /// Whether the limits fit each other and the machine.
 fn bounds(args: &serve::Args, places: Places<'_>) -> Vec<Finding> {
     let settings = match settings(args) {
@@ -297,15 +296,13 @@ fn bounds(args: &serve::Args, places: Places<'_>) -> Vec<Finding> {
         }
     };
     let runs = args.max_memory.0.saturating_mul(settings.workers.get() as u64);
-    let check = args.max_upload.0.saturating_add(CHECK_BYTES.saturating_mul(args.max_triangles.get() as u64));
-    let uploads = check.saturating_mul(args.validations.get() as u64);
-    let wanted = runs.saturating_add(uploads);
+    let wanted = runs.saturating_add(limits(args).checks());
     let gib = |bytes: u64| bytes as f64 / f64::from(1 << 30);
     let (workers, validations) = (settings.workers, args.validations);
     vec![match memory() {
         Some(memory) if wanted > memory => Finding::Note(format!(
             "{workers} runs and {validations} checks of uploads may take {:.1} GiB and this machine has {:.1}: the \
-             largest meshes at once would be too much; lower --max-memory, --workers, --validations, --max-triangles or --max-upload",
+             largest meshes at once would be too much; lower --max-memory, --workers, --validations, --max-triangles, --max-upload or --max-uploads",
             gib(wanted),
             gib(memory)
         )),

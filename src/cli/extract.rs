@@ -94,7 +94,7 @@ fn read(path: &Path, pool: &rayon::ThreadPool) -> Result<(TriangleMesh, Format, 
             "{} is a centerline, the result of an extraction, and not a mesh; give the mesh itself",
             path.display()
         ))),
-        Err(error) => Err(Failure::new(http::unread(&error))),
+        Err(error) => Err(Failure::new(error.to_string())),
     }
 }
 

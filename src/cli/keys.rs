@@ -59,7 +59,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Command::Add { name, scope, inherit } => {
             writeln!(out, "{}", file.add(&name, &scope, inherit)?)?;
             if let Some(unsaid) = place.unsaid() {
-                writeln!(std::io::stderr(), "rosaline: note: {unsaid}")?;
+                // It is made, whether or not somebody reads this.
+                let _ = writeln!(std::io::stderr(), "rosaline: note: {unsaid}");
             }
         }
         Command::Rotate { name } => writeln!(out, "{}", file.rotate(&name)?)?,
@@ -68,12 +69,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
             let keys = file.list()?;
             if keys.is_empty() {
                 // Beside the list, which programs read.
-                writeln!(
+                let _ = writeln!(
                     std::io::stderr(),
                     "there is no key in {}; 'rosaline keys add NAME --scope submit,read{}' makes one",
                     place.path().display(),
                     place.again()
-                )?;
+                );
             }
             for key in keys {
                 let scopes: Vec<&str> = key.scopes.iter().map(|scope| scope.name()).collect();

@@ -122,7 +122,8 @@ async fn serve(args: Args, spans: Spans) -> Result<(), Failure> {
     Ok(())
 }
 
-fn limits(args: &Args) -> Limits {
+/// The service's bounds.
+pub(super) fn limits(args: &Args) -> Limits {
     Limits {
         upload_bytes: args.max_upload.0,
         upload_idle: args.upload_idle.0,

@@ -77,7 +77,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
             writeln!(out, "{}", file.add(&name, url, &events, owner)?)?;
             let unsaid = place.unsaid().map(|unsaid| format!("note: {unsaid}"));
             for line in doubt.map(|doubt| format!("warning: {doubt}")).into_iter().chain(unsaid) {
-                writeln!(std::io::stderr(), "rosaline: {line}")?;
+                // It is added, whether or not somebody reads this.
+                let _ = writeln!(std::io::stderr(), "rosaline: {line}");
             }
         }
         Command::Rotate { name, overlap } => writeln!(out, "{}", file.rotate(&name, overlap.0)?)?,
@@ -86,12 +87,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
             let targets = file.list()?;
             if targets.is_empty() {
                 // Beside the list, which programs read.
-                writeln!(
+                let _ = writeln!(
                     std::io::stderr(),
                     "there is no target in {}; 'rosaline webhooks add NAME --url URL{}' adds one",
                     place.path().display(),
                     place.again()
-                )?;
+                );
             }
             for target in targets {
                 let events: Vec<&str> = target.events.iter().map(|event| event.status().name()).collect();

@@ -6,6 +6,7 @@ mod fetching;
 mod gate;
 mod jwks;
 mod jwt;
+mod key_set;
 mod keys;
 mod ring;
 

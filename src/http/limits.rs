@@ -9,6 +9,16 @@ use crate::mesh::format;
 /// Bytes of an upload that must come within its idle time: a byte now and then does not keep it alive.
 pub const UPLOAD_STEP: usize = 16 << 10;
 
+/// Bytes of a small file.
+pub(super) const SMALL_FILE: u64 = 1 << 20;
+/// Triangles of a small mesh, and bytes that it may unpack to: few bytes may hold many of them.
+pub(super) const SMALL_MESH: usize = 100_000;
+const SMALL_DECODED: usize = 16 << 20;
+
+/// Bytes that the check of an upload may take for each triangle of the largest mesh, beside its file: measured on the worst
+/// meshes (docs/reliability.md, "What the check of an upload takes").
+const CHECK_BYTES: u64 = 250;
+
 /// What one request may use, and for how long.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
@@ -21,8 +31,9 @@ pub struct Limits {
     /// A connection whose next request's head is not whole after this long is closed.
     pub head: Duration,
     /// Meshes that are checked at the same time, and as many small ones beside them; further uploads wait their turn on disk.
-    /// Each takes one copy of its file in memory and the mesh that is read from it, so this bounds the memory of any number
-    /// of uploads.
+    /// Each takes one copy of its file in memory and the mesh that is read from it. A small file that turns out to hold a
+    /// large mesh keeps its copy while it waits for the turn of such a one, as one of `uploads`: so these two bound the
+    /// memory of any number of uploads, see [`Limits::checks`].
     pub validations: usize,
     /// Uploads that may come in at the same time.
     pub uploads: usize,
@@ -50,6 +61,30 @@ pub struct Limits {
     pub reference_chars: usize,
 }
 
+impl Limits {
+    /// The largest small mesh.
+    pub(super) fn small_mesh(&self) -> format::Limits {
+        let (mesh, small) = (self.mesh, format::Limits::of_triangles(SMALL_MESH));
+        format::Limits {
+            vertices: small.vertices.min(mesh.vertices),
+            triangles: small.triangles.min(mesh.triangles),
+            decoded_bytes: SMALL_DECODED.min(mesh.decoded_bytes),
+            expansion: mesh.expansion,
+        }
+    }
+
+    /// Bytes of memory that the checks of all uploads may take at once: large ones, small ones, and the small files that
+    /// wait for the turn of a large one.
+    pub fn checks(&self) -> u64 {
+        let read = |mesh: format::Limits| CHECK_BYTES.saturating_mul(mesh.triangles as u64);
+        let small = self.small_mesh();
+        let file = SMALL_FILE.min(self.upload_bytes);
+        let each = [self.upload_bytes, read(self.mesh), file, small.decoded_bytes as u64, read(small)];
+        let each = each.into_iter().fold(0, u64::saturating_add);
+        each.saturating_mul(self.validations as u64).saturating_add(file.saturating_mul(self.uploads as u64))
+    }
+}
+
 impl Default for Limits {
     fn default() -> Self {
         Self {
@@ -71,5 +106,29 @@ impl Default for Limits {
             name_chars: 255,
             reference_chars: 128,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_checks_are_large_ones_small_ones_and_small_files_that_wait() {
+        const MIB: u64 = 1 << 20;
+        let limits = Limits {
+            upload_bytes: 100 * MIB,
+            validations: 2,
+            uploads: 7,
+            mesh: format::Limits::of_triangles(1_000_000),
+            ..Limits::default()
+        };
+        let (large, small) = (100 * MIB + 250_000_000, 17 * MIB + 25_000_000);
+        assert_eq!(limits.checks(), 2 * (large + small) + 7 * MIB);
+        // No file and no mesh is larger than the largest.
+        let limits = Limits { upload_bytes: MIB / 2, mesh: format::Limits::of_triangles(1000), ..limits };
+        let (large, small) = (MIB / 2 + 250_000, MIB / 2 + 16 * MIB + 250_000);
+        assert_eq!(limits.checks(), 2 * (large + small) + 7 * (MIB / 2));
+        assert_eq!(Limits { uploads: usize::MAX, ..Limits::default() }.checks(), u64::MAX);
     }
 }

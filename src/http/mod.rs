@@ -40,4 +40,3 @@ pub use problem::Problem;
 pub use server::serve;
 pub use state::App;
 pub use tls::Tls;
-pub use validation::unread;

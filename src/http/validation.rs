@@ -8,7 +8,7 @@ use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 
 use super::inspection::Inspection;
-use super::limits::Limits;
+use super::limits::{Limits, SMALL_FILE};
 use super::problem::{
     EMPTY, INDEX_OUT_OF_RANGE, INTERNAL_ERROR, INVALID_PARAMETER, Kind, MALFORMED, MESH_TOO_LARGE,
     NO_POLYGONS, NON_FINITE_COORDINATE, Problem, TRUNCATED, UNSUPPORTED_FEATURE, UNSUPPORTED_FORMAT,
@@ -17,12 +17,6 @@ use crate::centerline::{ExtractError, Parameters, check_reach};
 use crate::jobs::FormatHint;
 use crate::mesh::TriangleMesh;
 use crate::mesh::format::{self, Format, Hint, ReadError};
-
-/// Bytes of a small file.
-const SMALL_FILE: u64 = 1 << 20;
-/// Triangles of a small mesh, and bytes that it may unpack to: few bytes may hold many of them.
-const SMALL_MESH: usize = 100_000;
-const SMALL_DECODED: usize = 16 << 20;
 
 /// A bounded number of readers on threads of their own, away from the async ones. Small meshes have others than large
 /// ones: one that is read in milliseconds waits for none that takes seconds, neither for its turn nor within rayon, where a
@@ -63,16 +57,9 @@ impl Lane {
 
 impl Validator {
     pub(super) fn new(limits: &Limits) -> Result<Self, ThreadPoolBuildError> {
-        let (mesh, small) = (limits.mesh, format::Limits::of_triangles(SMALL_MESH));
-        let small = format::Limits {
-            vertices: small.vertices.min(mesh.vertices),
-            triangles: small.triangles.min(mesh.triangles),
-            decoded_bytes: SMALL_DECODED.min(mesh.decoded_bytes),
-            expansion: mesh.expansion,
-        };
         Ok(Self {
-            small: Lane::new("small-validator", limits.validations, small)?,
-            large: Lane::new("validator", limits.validations, mesh)?,
+            small: Lane::new("small-validator", limits.validations, limits.small_mesh())?,
+            large: Lane::new("validator", limits.validations, limits.mesh)?,
         })
     }
 
@@ -109,6 +96,18 @@ impl Validator {
         self.read(turn, bytes, hint, parameters, then).await
     }
 
+    /// Whether a small mesh that has too many of `what` has so for a large one too.
+    fn is_final(&self, what: &str) -> bool {
+        let (small, large) = (self.small.limits, self.large.limits);
+        match what {
+            "vertices" => small.vertices == large.vertices,
+            "triangles" | "faces" => small.triangles == large.triangles,
+            // Of them there is one bound for all.
+            "primitives" => true,
+            _ => small.decoded_bytes == large.decoded_bytes,
+        }
+    }
+
     /// Reads the mesh and goes on with `then`; one that turns out to be large waits for the turn of such a one first.
     async fn read<T: Send + 'static, P>(
         &self,
@@ -122,7 +121,9 @@ impl Validator {
         if let Some(place) = turn.small {
             let then = then.clone();
             match self.small.read(permit, bytes.clone(), hint.clone(), parameters.clone(), then).await {
-                Ok(Err(ReadError::TooLarge { .. })) => permit = self.large.permit().await?,
+                Ok(Err(ReadError::TooLarge { what, .. })) if !self.is_final(what) => {
+                    permit = self.large.permit().await?;
+                }
                 outcome => return outcome?.map_err(|error| refusal(&error))?,
             }
             drop(place);
@@ -177,17 +178,7 @@ fn far_off(error: &ExtractError) -> Problem {
 
 /// The reader's error as the client sees it: one kind for each of the reader's words.
 pub(super) fn refusal(error: &ReadError) -> Problem {
-    Problem::new(kind(error), unread(error))
-}
-
-/// What was found and what to do, the latter behind the former also where the reader names both at once.
-pub fn unread(error: &ReadError) -> String {
-    match error {
-        ReadError::Unsupported { found } if let Some((what, todo)) = found.split_once("; ") => {
-            format!("this is {what}, not a mesh that is read here; {todo} and send the mesh itself")
-        }
-        error => error.to_string(),
-    }
+    Problem::new(kind(error), error.to_string())
 }
 
 fn kind(error: &ReadError) -> &'static Kind {
@@ -206,6 +197,7 @@ fn kind(error: &ReadError) -> &'static Kind {
 
 #[cfg(test)]
 mod tests {
+    use super::super::limits::SMALL_MESH;
     use super::*;
 
     #[test]
@@ -242,7 +234,7 @@ mod tests {
     fn what_is_to_be_done_stands_behind_what_was_found() {
         let said = |bytes: &[u8]| {
             let read = format::read(bytes, Hint::default(), &format::Limits::default());
-            unread(&read.unwrap_err())
+            read.unwrap_err().to_string()
         };
         let gzip = said(b"\x1f\x8b\x08\0\0\0\0\0\0\x03");
         assert_eq!(
@@ -278,5 +270,24 @@ mod tests {
         assert_eq!(Arc::strong_count(&place), 2);
         drop((turn, go_on));
         assert!(many.await.is_ok());
+    }
+
+    /// It would be read twice for the same answer.
+    #[tokio::test]
+    async fn what_is_too_large_for_the_service_waits_for_no_large_one() {
+        let mesh = format::Limits::of_triangles(1000);
+        let validator = Validator::new(&Limits { validations: 1, mesh, ..Limits::default() }).unwrap();
+        let _turn = validator.turn(SMALL_FILE + 1, ()).await.unwrap();
+        let soon = std::time::Duration::from_secs(60);
+        let many = tokio::time::timeout(soon, checked(&validator, 1001, Arc::new(()))).await;
+        assert_eq!(many.unwrap().unwrap_err().status(), 413);
+        let header = "OFF\n3 1001 0\n0 0 0\n1 0 0\n0 1 0\n";
+        let points: String = (0..600).map(|x| format!("v {x} 0 0\nv {x} 1 0\n")).collect();
+        let faces: String = (1..900).map(|at| format!("f {at} {} {}\n", at + 1, at + 2)).collect();
+        for text in [format!("{header}{}", "3 0 1 2\n".repeat(1001)), [points, faces].concat()] {
+            let turn = validator.turn(text.len() as u64, ()).await.unwrap();
+            let check = validator.check(turn, text.into(), FormatHint::default(), Parameters::default());
+            assert_eq!(tokio::time::timeout(soon, check).await.unwrap().unwrap_err().status(), 413);
+        }
     }
 }

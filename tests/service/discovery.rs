@@ -216,3 +216,14 @@ async fn an_issuer_that_withdraws_all_its_keys_is_told_by_readiness() {
     let (status, body) = ready(&service).await;
     assert!(status == 503 && body["detail"].as_str().unwrap().contains("or it has none"), "{body}");
 }
+
+/// Where none were known, none are withdrawn.
+#[tokio::test]
+async fn an_issuer_that_has_no_keys_at_first_is_not_said_to_withdraw_them() {
+    let signer = Signer::new("one", Algorithm::ES256);
+    let keys = Keys::new(set(&[]));
+    let service = Service::start(&arguments(&served(&keys).await));
+    let log = service.log_with("the issuer has no keys").await;
+    assert!(log.contains("the issuer has no keys") && !log.contains("withdrawn"), "{log}");
+    assert_eq!(list(&service, &signer.sign(&claims("anna", "read"))).await.status(), 401);
+}

@@ -274,3 +274,45 @@ async fn a_revoked_name_is_no_dead_end_and_its_jobs_are_handed_on_only_when_that
     assert_eq!(list.lines().filter(|line| line.starts_with("pacs  ")).count(), 2, "{list}");
     assert!(made(&data, &["rotate", "pacs"]).starts_with("rosaline_"));
 }
+
+/// What was named and is not there is told as that, and nothing is made by looking.
+#[test]
+fn a_change_of_a_file_that_is_not_there_makes_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    for (what, act) in
+        [("keys", "rotate"), ("keys", "revoke"), ("webhooks", "rotate"), ("webhooks", "remove")]
+    {
+        for named in ["nope.json", "nowhere/nope.json"] {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+            without_settings(&mut command);
+            command.current_dir(folder.path()).args([what, act, "pacs", &format!("--{what}"), named]);
+            let output = command.output().unwrap();
+            let line = String::from_utf8(output.stderr).unwrap();
+            assert_eq!(output.status.code(), Some(1), "{line}");
+            assert!(line.contains(&format!("{named} is not there")) && line.contains(" add NAME"), "{line}");
+            assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "{what} {act}");
+        }
+    }
+}
+
+/// What is said beside the secret is no reason to fail once it is made.
+#[test]
+fn nobody_needs_to_read_what_is_said_beside_a_secret() {
+    let folder = tempfile::tempdir().unwrap();
+    let unread = |words: &[&str]| {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
+        without_settings(&mut command);
+        let output = command.current_dir(folder.path()).args(words).stderr(writer).output().unwrap();
+        assert!(output.status.success(), "{words:?}: {output:?}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    assert!(unread(&["keys", "add", "pacs", "--scope", "read"]).starts_with("rosaline_"));
+    let owned = ["--url", "http://127.0.0.1:1/", "--owner", "nobody"];
+    assert!(unread(&[&["webhooks", "add", "x"][..], &owned].concat()).starts_with("whsec_"));
+    std::fs::create_dir(folder.path().join("empty")).unwrap();
+    for what in ["keys", "webhooks"] {
+        assert!(unread(&[what, "list", "--data", "empty"]).is_empty());
+    }
+}

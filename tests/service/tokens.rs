@@ -324,7 +324,7 @@ async fn an_issuer_that_answers_otherwise_gives_no_keys_and_takes_none_away() {
     assert_eq!(keys.asked(), before + 1, "nothing elsewhere");
     assert!(service.log().contains("it answered 302"), "{}", service.log());
     assert_eq!(list(&service, &by_old).await.status(), 200);
-    for damaged in ["{", "{\"keys\": {}}"] {
+    for damaged in ["{", "{\"keys\": {}}", "{\"keys\": [null]}"] {
         keys.put(StatusCode::OK, damaged.to_owned());
         let before = keys.asked();
         while keys.asked() == before {
@@ -334,7 +334,8 @@ async fn an_issuer_that_answers_otherwise_gives_no_keys_and_takes_none_away() {
         }
         assert_eq!(list(&service, &by_old).await.status(), 200, "{damaged}");
     }
-    assert!(service.log().contains("the key set is damaged"));
+    assert!(service.log_with("entry 1 of its list").await.contains("the key set is damaged"));
+    assert!(!service.log().contains("withdrawn"), "{}", service.log());
     // A set without a key is a good one: they are withdrawn.
     keys.put(StatusCode::OK, "{\"keys\": []}".to_owned());
     let begin = Instant::now();

@@ -5,15 +5,14 @@ use std::str::FromStr;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
-use jsonwebtoken::jwk::{Jwk, PublicKeyUse};
 use jsonwebtoken::{Algorithm, DecodingKey};
-use serde::Deserialize;
 use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 
 use super::broken::Broken;
-use super::discovery::{DiscoveryError, shown};
+use super::discovery::DiscoveryError;
 use super::fetching::Way;
+use super::key_set::{PublicKey, parse};
 use crate::jobs::operator_file::{self, Stamp, stamp};
 use crate::outbound::{OutboundError, Url};
 
@@ -62,14 +61,6 @@ impl FromStr for JwksSource {
     fn from_str(text: &str) -> Result<Self, OutboundError> {
         if text.contains("://") { Ok(Self::Url(text.parse()?)) } else { Ok(Self::File(text.into())) }
     }
-}
-
-/// One key of the set.
-struct PublicKey {
-    id: Option<String>,
-    /// The only algorithm that it is for, where the set says so.
-    algorithm: Option<Algorithm>,
-    key: DecodingKey,
 }
 
 /// The keys in force.
@@ -248,14 +239,18 @@ impl Jwks {
     }
 
     /// Whether the keys were fetched. An answer that is no key set takes none away: that it was sent by the issuer is not
-    /// known, and a key that was withdrawn is gone with the next good answer, or after [`STALE`]. A set without a key is a
-    /// good answer, by which all are withdrawn.
+    /// known, and a key that was withdrawn is gone with the next good answer, or after [`STALE`]. A set without a key, or
+    /// with others alone, is a good answer, by which all are withdrawn.
     async fn fetch(&self) -> bool {
         let Place::Away { way, .. } = &self.source else { return true };
         let keys = match way.text().await.and_then(|text| parse(&text)) {
             Ok(keys) => keys,
-            Err(error @ JwksError::Empty) => {
+            Err(error @ JwksError::Empty) if self.has_keys(Instant::now()) => {
                 tracing::error!(%error, "the issuer has withdrawn its keys: no token is let in until it has another");
+                Vec::new()
+            }
+            Err(error @ JwksError::Empty) => {
+                tracing::error!(%error, "the issuer has no keys: no token is let in until it has one");
                 Vec::new()
             }
             Err(error) if self.is_there(Instant::now()) => {
@@ -289,34 +284,6 @@ fn read(path: &Path) -> Result<Vec<PublicKey>, JwksError> {
     parse(&text.map_err(|source| JwksError::Io { path: path.display().to_string(), source })?)
 }
 
-/// The keys that signatures may be checked with. Others in the set are left out: shared secrets, keys for encryption,
-/// kinds that are not known.
-fn parse(text: &[u8]) -> Result<Vec<PublicKey>, JwksError> {
-    #[derive(Deserialize)]
-    struct Set {
-        keys: Vec<serde_json::Value>,
-    }
-    // Its error repeats a string that is in a wrong place whole.
-    let set: Set =
-        serde_json::from_slice(text).map_err(|error| JwksError::Damaged(shown(&error.to_string())))?;
-    let keys: Vec<PublicKey> = set.keys.into_iter().filter_map(public).collect();
-    if keys.is_empty() { Err(JwksError::Empty) } else { Ok(keys) }
-}
-
-fn public(value: serde_json::Value) -> Option<PublicKey> {
-    let jwk: Jwk = serde_json::from_value(value).ok()?;
-    if !matches!(jwk.common.public_key_use, None | Some(PublicKeyUse::Signature)) {
-        return None;
-    }
-    let algorithm = match jwk.common.key_algorithm {
-        None => None,
-        Some(named) => Some(named.to_string().parse::<Algorithm>().ok()?),
-    };
-    let key = DecodingKey::from_jwk(&jwk).ok()?;
-    let is_public = super::jwt::ALGORITHMS.iter().any(|algorithm| algorithm.family() == key.family());
-    is_public.then_some(PublicKey { id: jwk.common.key_id, algorithm, key })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -330,14 +297,5 @@ mod tests {
         jwks.state.write().unwrap().fetched = Some(now);
         assert!(jwks.is_there(now) && jwks.is_there(now + STALE));
         assert!(!jwks.is_there(now + STALE + Duration::from_secs(1)));
-    }
-
-    #[test]
-    fn an_error_repeats_little_of_a_key_set() {
-        let long = "x".repeat(super::super::fetching::MOST / 2);
-        for set in [serde_json::json!(long), serde_json::json!({"keys": long})] {
-            let said = parse(set.to_string().as_bytes()).err().unwrap().to_string();
-            assert!(said.contains("xxx") && said.len() < 1000, "{} bytes", said.len());
-        }
     }
 }

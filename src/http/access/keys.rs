@@ -201,6 +201,10 @@ impl KeyFile {
 
     fn change<T>(&self, change: impl FnOnce(&mut Vec<Key>) -> Result<T, KeyError>) -> Result<T, KeyError> {
         let failed = |source| KeyError::Io { path: self.path.display().to_string(), source };
+        if self.must_exist {
+            // Before a lock is made beside it.
+            self.read()?;
+        }
         let _lock = operator_file::lock(&self.path).map_err(failed)?;
         let mut keys = self.list()?;
         let changed = change(&mut keys)?;

@@ -24,7 +24,7 @@ pub enum ReadErrorKind {
 pub enum ReadError {
     #[error("the file is empty; send the bytes of a mesh")]
     Empty,
-    #[error("this is {found}, not a mesh that is read here; send {READ_FORMATS}")]
+    #[error("{}", unsupported(found))]
     Unsupported { found: &'static str },
     #[error("the {format} file ends early: {detail}; send the whole file again")]
     Truncated { format: Format, detail: String },
@@ -50,6 +50,16 @@ pub enum ReadError {
 
 /// For messages: what may be sent instead.
 const READ_FORMATS: &str = "STL, OBJ, PLY, glTF, GLB, VTP, legacy VTK polydata or OFF";
+
+/// What was found and what to do, the latter behind the former also where `found` names both at once.
+fn unsupported(found: &str) -> String {
+    match found.split_once("; ") {
+        Some((what, todo)) => {
+            format!("this is {what}, not a mesh that is read here; {todo} and send the mesh itself")
+        }
+        None => format!("this is {found}, not a mesh that is read here; send {READ_FORMATS}"),
+    }
+}
 
 impl ReadError {
     pub fn kind(&self) -> ReadErrorKind {

@@ -239,6 +239,10 @@ impl TargetFile {
         &self,
         change: impl FnOnce(&mut Vec<Target>) -> Result<(), TargetError>,
     ) -> Result<(), TargetError> {
+        if self.must_exist {
+            // Before a lock is made beside it.
+            self.read()?;
+        }
         let _lock = operator_file::lock(&self.path).map_err(|source| self.failed(source))?;
         let mut targets = self.list()?;
         change(&mut targets)?;
