@@ -284,19 +284,19 @@ mod tests {
     fn a_chain_of_close_joints_becomes_one() {
         let ways: [(usize, usize, &[[f64; 2]]); 7] = [
             (3, 0, &[[-4.0, 0.0], [-0.5, 0.0]]),
-            (0, 1, &[[0.0, 0.0], [0.3, 0.0]]),
-            (1, 2, &[[0.3, 0.0], [0.6, 0.0]]),
+            (0, 1, &[[0.0, 0.0], [0.2, 0.0]]),
+            (1, 2, &[[0.2, 0.0], [0.4, 0.0]]),
             (0, 4, &[[0.0, 0.5], [0.0, 9.0]]),
-            (1, 5, &[[0.3, 0.5], [0.3, 9.0]]),
-            (2, 6, &[[0.6, 0.5], [0.6, 9.0]]),
-            (2, 7, &[[0.6, -0.5], [0.6, -9.0]]),
+            (1, 5, &[[0.2, 0.5], [0.2, 9.0]]),
+            (2, 6, &[[0.4, 0.5], [0.4, 9.0]]),
+            (2, 7, &[[0.4, -0.5], [0.4, -9.0]]),
         ];
-        let mut found = network(&[0.0, 0.3, 0.6, -5.0, 0.0, 0.3, 0.6, 0.6], &ways);
+        let mut found = network(&[0.0, 0.2, 0.4, -5.0, 0.0, 0.2, 0.4, 0.4], &ways);
         assert_eq!(found.contract_close(true), [0]);
         assert_eq!((found.tracks.len(), found.incident(0).len()), (5, 5));
         // The last branch was led to the first joint's centre, its far end not.
         let [near, far] = [0, 1].map(|i| found.tracks[4].stations[i].point.x);
-        assert!((near - 0.0).abs() < 1e-9 && (far - 0.6).abs() < 1e-9, "{near} {far}");
+        assert!((near - 0.0).abs() < 1e-9 && (far - 0.4).abs() < 1e-9, "{near} {far}");
         assert!(found.contract_close(true).is_empty());
     }
 

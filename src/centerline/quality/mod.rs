@@ -209,6 +209,8 @@ mod tests {
         assert_eq!(measured(&tube(), &wide(1.4, 0, 101)).1, ["radius"]);
         assert_eq!(measured(&tube(), &wide(1.4, 30, 60)).1, ["radius"]);
         assert_eq!(measured(&tube(), &wide(1.4, 45, 50)).1, Vec::<&str>::new());
+        // As where a line has passed over a narrow place.
+        assert_eq!(measured(&tube(), &wide(2.0, 45, 55)).1, ["radius"]);
         // Of three sides nobody knows what they are of.
         for sides in 3..=6 {
             let coarse = closed_surface(&open_tube(20.0, 10, sides));

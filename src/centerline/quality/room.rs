@@ -9,6 +9,9 @@ use crate::centerline::own_sections::OwnSection;
 
 /// Over how many of those distances it must not fit, in one stretch.
 const STRETCH: f64 = 3.0;
+/// Told radius over the distance of the wall from which on one section is enough: a narrow place that is shorter than it is
+/// wide, which the line passed over.
+const FOCAL: f64 = 1.5;
 /// Farthest between two sections of a stretch, in radii of the first: what has none between them, as a sac, is not spoken of.
 const GAP: f64 = 1.5;
 
@@ -54,11 +57,12 @@ pub struct Tight {
 /// The stretch that is longest against the room that it has; `None` where all spheres fit, or but for single ones.
 pub fn measure(graph: &ComponentGraph, sections: &[OwnSection], against: Against) -> Option<Tight> {
     let most = against.most();
-    let excess = |section: &OwnSection| {
-        graph.branches[section.branch].radii[section.place] / against.distance(section)
-    };
+    let excess = |section: &OwnSection| excess(graph, section, against);
     let way = |branch: usize, places: std::ops::RangeInclusive<usize>| -> f64 {
-        graph.branches[branch].points[places].windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()
+        graph.branches[branch].points[places]
+            .windows(2)
+            .map(|pair| (pair[1] - pair[0]).norm())
+            .fold(0.0, |sum, step| sum + step)
     };
     let together = |a: &OwnSection, b: &OwnSection| {
         a.branch == b.branch
@@ -74,11 +78,20 @@ pub fn measure(graph: &ComponentGraph, sections: &[OwnSection], against: Against
         };
         let (excess, near) = (median(&excess), median(&|section| against.distance(section)));
         let places = [first.place, last.place];
+        let worst = run.iter().map(|section| self::excess(graph, section, against)).fold(0.0, f64::max);
+        let is_focal = against == Against::Wall && worst > FOCAL;
+        let is_long = excess > most && length > STRETCH * near;
+        let excess = if is_long { excess } else { worst };
         let found = Tight { against, branch: first.branch, places, length, excess };
-        (excess > most && length > STRETCH * near).then_some((found, length / near))
+        (is_long || is_focal).then_some((found, length / near))
     };
     let all = sections.chunk_by(together).filter_map(tight);
     all.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(tight, _)| tight)
+}
+
+/// Told radius over the distance that it is held against.
+fn excess(graph: &ComponentGraph, section: &OwnSection, against: Against) -> f64 {
+    graph.branches[section.branch].radii[section.place] / against.distance(section)
 }
 
 impl Tight {
