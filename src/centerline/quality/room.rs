@@ -62,7 +62,8 @@ pub fn measure(graph: &ComponentGraph, sections: &[OwnSection], against: Against
         graph.branches[branch].points[places]
             .windows(2)
             .map(|pair| (pair[1] - pair[0]).norm())
-            .fold(0.0, |sum, step| sum + step)
+            .sum::<f64>()
+            .abs()
     };
     let together = |a: &OwnSection, b: &OwnSection| {
         a.branch == b.branch
