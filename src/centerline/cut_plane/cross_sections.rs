@@ -295,7 +295,7 @@ fn keep_ring_centres(stations: &mut [Station]) {
 /// Whether a station is still where it was cut last, so that its section would say the same again.
 fn stands(station: &Station) -> bool {
     /// The most that it may have moved, in radii, or turned (sine).
-    const STILL: f64 = 5e-3;
+    const STILL: f64 = 1e-3;
     let Frame { origin, t, .. } = station.frame;
     (station.point - origin).norm() < STILL * station.section_radius
         && station.tangent.dot(&t) > 0.0
