@@ -100,7 +100,7 @@ fn a_helix_is_its_axis() {
     let helix = |s: f64| Point3::new(6.0 * (3.0 * TAU * s).cos(), 6.0 * (3.0 * TAU * s).sin(), 24.0 * s);
     let found = line_of(&sweep(helix, round(1.0), [300, 24], Ends::Flat));
     assert_eq!(graph(&found), TUBE);
-    assert!(off(&found, from_curve(helix)) < 0.02);
+    assert!(off(&found, from_curve(helix)) < 0.015);
     assert!(radius_error(&found, |_| 1.0) < 2e-3);
     let whole = (3.0 * TAU * 6.0).hypot(24.0);
     assert!((length(&found) / whole - 1.0).abs() < 1e-3, "{}", length(&found));

@@ -165,7 +165,9 @@ fn end_of(surface: &Surface, graph: &ReebGraph, chain: &Chain, at_start: bool) -
     // On a cap that a front came to aslant all rings but the last are small ones around its far side.
     let widest = || rings.iter().map(LevelSet::radius).fold(0.0, f64::max);
     let radius = if short { widest() } else { ring.radius() };
-    Some(End { vertex, radius, outward: along_vessel(surface, vertex, radius, outward), short })
+    // Rings of a long one are square to the vessel where they are looked at.
+    let outward = if short { along_vessel(surface, vertex, radius, outward) } else { outward };
+    Some(End { vertex, radius, outward, short })
 }
 
 /// Level sets from a chain's tip inward, up to and with the first that is `enough`.
