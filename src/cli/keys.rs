@@ -45,7 +45,7 @@ enum Command {
 /// A running service takes changes over with its next request.
 pub fn run(args: Args) -> Result<(), Failure> {
     let (data, named) = (args.data.as_deref(), args.keys.as_deref());
-    let place = OperatorPlace { data, named, flag: "--keys", name: "keys.json" };
+    let place = OperatorPlace::of_keys(data, named);
     let mut out = std::io::stdout();
     let file = match (&args.command, named) {
         (Command::Add { .. }, _) | (_, None) => KeyFile::new(place.path()),

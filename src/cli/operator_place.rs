@@ -13,16 +13,26 @@ const DATA: &str = "data";
 /// Such a place.
 pub(super) struct OperatorPlace<'a> {
     /// As `--data` or its variable has it.
-    pub data: Option<&'a Path>,
+    data: Option<&'a Path>,
     /// As a flag or its variable has it.
-    pub named: Option<&'a Path>,
+    named: Option<&'a Path>,
     /// That flag.
-    pub flag: &'static str,
+    flag: &'static str,
     /// The file's name in a data folder.
-    pub name: &'static str,
+    name: &'static str,
 }
 
-impl OperatorPlace<'_> {
+impl<'a> OperatorPlace<'a> {
+    /// That of the keys.
+    pub(super) fn of_keys(data: Option<&'a Path>, named: Option<&'a Path>) -> Self {
+        Self { data, named, flag: "--keys", name: "keys.json" }
+    }
+
+    /// That of the webhook targets.
+    pub(super) fn of_webhooks(data: Option<&'a Path>, named: Option<&'a Path>) -> Self {
+        Self { data, named, flag: "--webhooks", name: "webhooks.json" }
+    }
+
     /// The file.
     pub(super) fn path(&self) -> PathBuf {
         self.named.map_or_else(|| self.data().join(self.name), Path::to_owned)
@@ -78,8 +88,7 @@ mod tests {
     fn a_folder_that_is_not_there_is_told_and_made_only_for_something() {
         let folder = tempfile::tempdir().unwrap();
         let data = folder.path().join("nope");
-        let place =
-            |data, named| OperatorPlace { data: Some(data), named, flag: "--keys", name: "keys.json" };
+        let place = |data, named| OperatorPlace::of_keys(Some(data), named);
         let said = place(&data, None).check().unwrap_err().message;
         assert!(said.contains("there is no data folder") && said.contains("--data"), "{said}");
         assert!(!data.exists());

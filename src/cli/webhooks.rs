@@ -59,7 +59,7 @@ enum Command {
 /// A running service takes changes over within a second.
 pub fn run(args: Args) -> Result<(), Failure> {
     let (data, named) = (args.data.as_deref(), args.webhooks.as_deref());
-    let place = OperatorPlace { data, named, flag: "--webhooks", name: "webhooks.json" };
+    let place = OperatorPlace::of_webhooks(data, named);
     let file = match (&args.command, named) {
         (Command::Add { .. }, _) | (_, None) => TargetFile::new(place.path()),
         (_, Some(named)) => TargetFile::named(named),
@@ -72,7 +72,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     match args.command {
         Command::Add { name, url, events, owner } => {
             let events = if events.is_empty() { Event::ALL.to_vec() } else { events };
-            let keys = OperatorPlace { data, named: args.keys.as_deref(), flag: "--keys", name: "keys.json" };
+            let keys = OperatorPlace::of_keys(data, args.keys.as_deref());
             let doubt = owner.as_deref().and_then(|owner| doubted(owner, &keys.path()));
             writeln!(out, "{}", file.add(&name, url, &events, owner)?)?;
             let unsaid = place.unsaid().map(|unsaid| format!("note: {unsaid}"));

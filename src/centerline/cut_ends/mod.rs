@@ -60,22 +60,25 @@ pub struct Finding {
 
 /// That of component `index` where ends of its line lie off the middle of their vessel.
 pub fn warning(index: usize, graph: &ComponentGraph, findings: &[Finding]) -> Option<Warning> {
-    /// So many are told one by one.
-    const TOLD: usize = 8;
     let aside: Vec<&Finding> = findings.iter().filter(|finding| finding.off > ASIDE).collect();
     let place = |finding: &&Finding| {
         let at = graph.nodes[finding.node].position;
         format!("[{:.4}, {:.4}, {:.4}] by {:.2} radii", at.x, at.y, at.z, finding.off)
     };
-    let places: Vec<String> = aside.iter().take(TOLD).map(place).collect();
     (!aside.is_empty()).then(|| Warning {
         code: "end-off-axis",
         detail: format!(
             "{} ends of component {index} lie off the middle of their vessel, as in the corner of a cut aslant: at {}",
             aside.len(),
-            places.join(", ")
+            told(&aside, place)
         ),
     })
+}
+
+/// The first of some places, one by one.
+fn told<T>(all: &[T], place: impl Fn(&T) -> String) -> String {
+    const TOLD: usize = 8;
+    all.iter().take(TOLD).map(place).collect::<Vec<String>>().join(", ")
 }
 
 /// What speaks against ends of a line, but for those in openings that the mesh has. O(triangles around the ends).

@@ -4,6 +4,7 @@ use nalgebra::Point3;
 
 use crate::mesh::preparation::{Opening, Surface};
 
+use super::told;
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::graph::{NodeKind, Warning};
 
@@ -15,21 +16,18 @@ const HOLE: f64 = 0.25;
 
 /// That of component `index` where openings have no end in their middle. O(openings x points).
 pub fn warning(index: usize, surface: &Surface, graph: &ComponentGraph) -> Option<Warning> {
-    /// So many are told one by one.
-    const TOLD: usize = 8;
     let openings = surface.openings.iter().filter(|opening| !opening.was_closed);
     let missed: Vec<(Point3<f64>, f64)> =
         openings.filter_map(|opening| missed(surface, graph, opening)).collect();
     let place = |(at, off): &(Point3<f64>, f64)| {
         format!("that at [{:.4}, {:.4}, {:.4}] by {off:.2} of its radii", at.x, at.y, at.z)
     };
-    let places: Vec<String> = missed.iter().take(TOLD).map(place).collect();
     (!missed.is_empty()).then(|| Warning {
         code: "end-off-axis",
         detail: format!(
             "{} openings of component {index} are missed by the line's nearest end: {}",
             missed.len(),
-            places.join(", ")
+            told(&missed, place)
         ),
     })
 }

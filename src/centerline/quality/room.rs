@@ -50,19 +50,22 @@ pub struct Tight {
     /// Its first and last point in the branch.
     places: [usize; 2],
     length: f64,
-    /// Median of told radius over the distance of the wall.
+    /// Told radius over the distance: the median of a long stretch, the greatest of a short one.
     excess: f64,
 }
 
 /// The stretch that is longest against the room that it has; `None` where all spheres fit, or but for single ones.
 pub fn measure(graph: &ComponentGraph, sections: &[OwnSection], against: Against) -> Option<Tight> {
     let most = against.most();
-    let excess = |section: &OwnSection| excess(graph, section, against);
+    let excess = |section: &OwnSection| {
+        graph.branches[section.branch].radii[section.place] / against.distance(section)
+    };
     let way = |branch: usize, places: std::ops::RangeInclusive<usize>| -> f64 {
         graph.branches[branch].points[places]
             .windows(2)
             .map(|pair| (pair[1] - pair[0]).norm())
             .sum::<f64>()
+            // The sum of nothing is -0.
             .abs()
     };
     let together = |a: &OwnSection, b: &OwnSection| {
@@ -77,22 +80,16 @@ pub fn measure(graph: &ComponentGraph, sections: &[OwnSection], against: Against
             let mut all: Vec<f64> = run.iter().map(of).collect();
             *all.select_nth_unstable_by(run.len() / 2, f64::total_cmp).1
         };
-        let (excess, near) = (median(&excess), median(&|section| against.distance(section)));
-        let places = [first.place, last.place];
-        let worst = run.iter().map(|section| self::excess(graph, section, against)).fold(0.0, f64::max);
+        let (usual, near) = (median(&excess), median(&|section| against.distance(section)));
+        let worst = run.iter().map(excess).fold(0.0, f64::max);
+        let is_long = usual > most && length > STRETCH * near;
         let is_focal = against == Against::Wall && worst > FOCAL;
-        let is_long = excess > most && length > STRETCH * near;
-        let excess = if is_long { excess } else { worst };
+        let (places, excess) = ([first.place, last.place], if is_long { usual } else { worst });
         let found = Tight { against, branch: first.branch, places, length, excess };
         (is_long || is_focal).then_some((found, length / near))
     };
     let all = sections.chunk_by(together).filter_map(tight);
     all.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(tight, _)| tight)
-}
-
-/// Told radius over the distance that it is held against.
-fn excess(graph: &ComponentGraph, section: &OwnSection, against: Against) -> f64 {
-    graph.branches[section.branch].radii[section.place] / against.distance(section)
 }
 
 impl Tight {
