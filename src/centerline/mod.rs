@@ -9,6 +9,7 @@ mod cut_ends;
 mod cut_plane;
 mod equivalent_radius;
 mod error;
+mod focal;
 mod graph;
 mod laplacian_smoothing;
 mod least_radii;
@@ -48,7 +49,7 @@ use crate::mesh::preparation::{
 use crate::mesh::reopening::Closure;
 use component::ComponentGraph;
 use line_tree::LineTree;
-use own_sections::own_sections;
+use own_sections::{OwnSection, own_sections};
 use quality::{Line, Measured};
 use tips::picks::{self, Picks};
 use triangle_grid::TriangleGrid;
@@ -121,7 +122,7 @@ fn component(
         smoothing_filter::smooth(&mut surface.mesh, &cuts, control)?;
     }
     let surface = &*surface;
-    let (grid, mut line) = traced(index, surface, (diagonal, parameters, picks), control)?;
+    let (grid, mut line) = traced(surface, (diagonal, parameters, picks), control)?;
     let mut findings = cut_ends::look(&grid, &line.graph, &control.cancel)?;
     let mut opened: Option<(Surface, Picks)> = None;
     for _ in 0..REOPENED {
@@ -132,7 +133,7 @@ fn component(
         }
         let Some(next) = seen.reopened(&caps, || control.cancel.check())? else { break };
         let picks = picks.renumbered(seen, &next);
-        match traced(index, &next, (diagonal, parameters, &picks), &control.quiet()) {
+        match traced(&next, (diagonal, parameters, &picks), &control.quiet()) {
             Ok((grid, found)) if found.graph.ends() >= line.graph.ends() => {
                 line = found;
                 findings = cut_ends::look(&grid, &line.graph, &control.cancel)?;
@@ -145,6 +146,10 @@ fn component(
         findings.iter_mut().filter(|finding| finding.known).for_each(|finding| finding.cap = None);
         opened = Some((next, picks));
     }
+    let mut line = match &opened {
+        None => finished(index, &grid, line, parameters, control),
+        Some((surface, _)) => finished(index, &TriangleGrid::new(surface), line, parameters, control),
+    }?;
     line.warnings.extend(cut_ends::warning(index, &line.graph, &findings));
     // What is excluded is missed as it should be.
     if picks.exclude.is_empty() {
@@ -153,13 +158,29 @@ fn component(
     Ok(line)
 }
 
-/// The line of a prepared surface, how good it is, and the surface's triangles, sorted on the way.
+/// A line with its own sections.
+struct TracedLine {
+    graph: ComponentGraph,
+    tree: LineTree,
+    sections: Vec<OwnSection>,
+}
+
+impl TracedLine {
+    /// The equivalent radii come from the sections.
+    fn of(mut graph: ComponentGraph, grid: &TriangleGrid<'_>) -> Self {
+        let tree = LineTree::new(&graph);
+        let sections = own_sections(grid, &tree, &graph);
+        equivalent_radius::settle(&mut graph, &sections);
+        Self { graph, tree, sections }
+    }
+}
+
+/// The line of a prepared surface, and the surface's triangles, sorted on the way.
 fn traced<'a>(
-    index: usize,
     surface: &'a Surface,
     (diagonal, parameters, picks): (f64, &Parameters, &Picks),
     control: &Control<'_>,
-) -> Result<(TriangleGrid<'a>, ComponentLine), ExtractError> {
+) -> Result<(TriangleGrid<'a>, TracedLine), ExtractError> {
     let (grid, mut graph) = match parameters.preset() {
         Preset::Default => preset_default::extract_component(surface, parameters, picks, control),
         Preset::Paper => preset_paper::extract_component(surface, diagonal, parameters, picks, control)
@@ -170,12 +191,27 @@ fn traced<'a>(
     if let Some(root) = picks.root {
         orientation::tell_from(&mut graph, &surface.mesh.vertices[root.vertex as usize]);
     }
-    let tree = LineTree::new(&graph);
-    let sections = own_sections(surface, &grid, &tree, &graph);
-    equivalent_radius::settle(&mut graph, &sections);
-    let line = Line { surface, grid: &grid, graph: &graph, tree: &tree, sections: &sections };
-    let (measured, warnings) = Measured::of(index, line);
-    Ok((grid, ComponentLine { graph, measured, warnings }))
+    let line = TracedLine::of(graph, &grid);
+    Ok((grid, line))
+}
+
+/// The line with its focal places, and how good it is.
+fn finished(
+    index: usize,
+    grid: &TriangleGrid<'_>,
+    mut line: TracedLine,
+    parameters: &Parameters,
+    control: &Control<'_>,
+) -> Result<ComponentLine, ExtractError> {
+    if parameters.preset() == Preset::Default
+        && let Some(graph) = focal::told_anew(grid, &line.sections, &line.graph, &control.cancel)?
+    {
+        line = TracedLine::of(graph, grid);
+    }
+    let TracedLine { graph, tree, sections } = &line;
+    let (measured, warnings) =
+        Measured::of(index, Line { surface: grid.surface(), grid, graph, tree, sections });
+    Ok(ComponentLine { graph: line.graph, measured, warnings })
 }
 
 /// Refuses a component that encloses nothing, before anything is looked for on it: a soup has thousands.

@@ -9,7 +9,7 @@
 //!
 //! Found on the result and the prepared surface alone, whichever preset made the line.
 
-use nalgebra::{Point2, Rotation2, Unit, Vector2, Vector3};
+use nalgebra::{Matrix2, Point2, Point3, Rotation2, Unit, Vector2, Vector3};
 use rayon::prelude::*;
 
 use crate::mesh::preparation::Surface;
@@ -33,7 +33,9 @@ pub struct OwnSection {
     pub branch: usize,
     /// Number of the point in the branch.
     pub place: usize,
-    /// Distance of the point from the section's centroid, in the input's unit.
+    /// The section's centroid.
+    pub middle: Point3<f64>,
+    /// Distance of the point from there, in the input's unit.
     pub offset: f64,
     /// Radius of the circle that has the area of the section's polygon.
     pub radius: f64,
@@ -45,25 +47,47 @@ pub struct OwnSection {
     /// The same of the wall: by as much more as its radius is than the polygon's. Infinite where the mesh is too coarse to
     /// tell.
     pub near: f64,
+    /// Radius of the largest circle inside: the short half axis of the ellipse that has the wall's area and the section's second
+    /// moments. Where the mesh is too coarse, how far the nearest quarter of its vertices there lies from the line.
+    pub inscribed: f64,
 }
 
 /// The own sections of a component's line, in its order. O(sections x triangles crossed).
-pub fn own_sections(
-    surface: &Surface,
+pub fn own_sections(grid: &TriangleGrid<'_>, line: &LineTree, graph: &ComponentGraph) -> Vec<OwnSection> {
+    let of_branch = |(number, branch)| {
+        let plane = move |place| Some(Plane { branch: number, place, tangent: tangent(branch, place)? });
+        places(branch).into_iter().filter_map(plane)
+    };
+    let planes: Vec<Plane> = graph.branches.iter().enumerate().flat_map(of_branch).collect();
+    own_sections_in(grid, line, graph, &planes)
+}
+
+/// A plane through a point of the line.
+#[derive(Debug, Clone, Copy)]
+pub struct Plane {
+    pub branch: usize,
+    /// Number of the point in the branch.
+    pub place: usize,
+    /// Its normal.
+    pub tangent: Unit<Vector3<f64>>,
+}
+
+/// The own sections of a component's line in some planes, in their order. O(planes x triangles crossed).
+pub fn own_sections_in(
     grid: &TriangleGrid<'_>,
     line: &LineTree,
     graph: &ComponentGraph,
+    planes: &[Plane],
 ) -> Vec<OwnSection> {
+    let surface = grid.surface();
     let mut degree = vec![0; graph.nodes.len()];
     for branch in &graph.branches {
         degree[branch.from] += 1;
         degree[branch.to] += 1;
     }
-    let number = |(number, branch)| places(branch).into_iter().map(move |place| (number, place));
-    let all: Vec<(usize, usize)> = graph.branches.iter().enumerate().flat_map(number).collect();
-    let one = |&(number, place): &(usize, usize)| {
+    let one = |&Plane { branch: number, place, tangent }: &Plane| {
         let branch = &graph.branches[number];
-        let (cut, centroid, radius) = section_around(surface, grid, branch, place)?;
+        let (cut, centroid, radius) = section_around(grid, &branch.points[place], tangent)?;
         let ends = [branch.from, branch.to].into_iter().filter(|&node| degree[node] == 1);
         let away = |node: usize| (graph.nodes[node].position - branch.points[place]).norm();
         let clear = ends.into_iter().all(|node| away(node) > radius);
@@ -73,6 +97,11 @@ pub fn own_sections(
             let (middle, sides) = nearest_quarter(cut.sides().map(|(p, q, _)| [p.coords, q.coords]));
             let shows_wall = sides >= SIDES;
             let near = if shows_wall { middle * (wall_radius / radius).max(1.0) } else { f64::INFINITY };
+            let inscribed = if shows_wall {
+                wall_radius * narrowness(&cut, &centroid)
+            } else {
+                nearest_vertices(surface, &cut)
+            };
             let faces = faces(&cut);
             let as_sides = faces.len() == cut.points.len();
             let (facets, count) = if as_sides { (middle, sides) } else { nearest_quarter(faces.into_iter()) };
@@ -80,15 +109,17 @@ pub fn own_sections(
             OwnSection {
                 branch: number,
                 place,
+                middle: cut.frame.lift(&centroid),
                 offset: centroid.coords.norm(),
                 radius,
                 wall_radius,
                 facets,
+                inscribed,
                 near,
             }
         })
     };
-    all.par_iter().filter_map(one).collect()
+    planes.par_iter().filter_map(one).collect()
 }
 
 /// The inner points of a branch that are looked at.
@@ -107,23 +138,27 @@ fn places(branch: &Branch) -> Vec<usize> {
     found
 }
 
-/// The closed section around a point of a branch, with its centroid and the radius of the circle of its area;
-/// the point is the origin of its plane.
-pub fn section_around(
-    surface: &Surface,
-    grid: &TriangleGrid<'_>,
-    branch: &Branch,
-    place: usize,
-) -> Option<(Section, Point2<f64>, f64)> {
+/// Direction of a branch at an inner point; `None` where it turns back.
+pub fn tangent(branch: &Branch, place: usize) -> Option<Unit<Vector3<f64>>> {
     let [before, point, after] = [place - 1, place, place + 1].map(|i| branch.points[i]);
     let directions = [point - before, after - point].map(|step| step.try_normalize(0.0));
-    let tangent = Unit::try_new(directions[0]? + directions[1]?, 1e-6)?;
+    Unit::try_new(directions[0]? + directions[1]?, 1e-6)
+}
+
+/// The closed section around a point perpendicular to a direction, with its centroid and the radius of the circle of its area;
+/// the point is the origin of its plane.
+pub fn section_around(
+    grid: &TriangleGrid<'_>,
+    point: &Point3<f64>,
+    tangent: Unit<Vector3<f64>>,
+) -> Option<(Section, Point2<f64>, f64)> {
+    let surface = grid.surface();
     let across = any_perpendicular(*tangent);
-    let frame = Frame::new(point, tangent, across);
+    let frame = Frame::new(*point, tangent, across);
     // Another try where the first ray ends at a wall that does not go around.
     [frame.u, frame.v, -frame.u, -frame.v].iter().find_map(|direction: &Vector3<f64>| {
         // A plane through vertices may only touch the triangle that the ray meets; it crosses the next.
-        let seed = walk_to_plane(surface, &frame, grid.wall_ahead(&point, direction)?)?;
+        let seed = walk_to_plane(surface, &frame, grid.wall_ahead(point, direction)?)?;
         let cut = section(surface, frame, seed)?;
         let measure = cut.measure();
         let around = measure.area > 0.0 && cut.encloses(&Point2::origin());
@@ -145,6 +180,30 @@ fn nearest_quarter(sides: impl Iterator<Item = [Vector2<f64>; 2]>) -> (f64, usiz
         angle >= quarter
     });
     reached.map_or((f64::INFINITY, 0), |last| (sides[last].0, last + 1))
+}
+
+/// Short half axis of the ellipse with a section's second moments, over the radius of the circle of its area.
+fn narrowness(cut: &Section, centroid: &Point2<f64>) -> f64 {
+    let mut moments = Matrix2::zeros();
+    for (p, q, _) in cut.sides() {
+        let (a, b) = (p - centroid, q - centroid);
+        moments += (a * a.transpose() + b * b.transpose() + (a + b) * (a + b).transpose()) * a.perp(&b);
+    }
+    let axes = moments.symmetric_eigenvalues();
+    let [least, most] = [axes.min(), axes.max()];
+    if most > 0.0 { (least / most).clamp(0.0, 1.0).sqrt().sqrt() } else { 1.0 }
+}
+
+/// Distance from the line of the nearest quarter of the vertices whose triangles a section crosses.
+fn nearest_vertices(surface: &Surface, cut: &Section) -> f64 {
+    let mut vertices: Vec<u32> =
+        cut.triangles.iter().flat_map(|&t| surface.mesh.triangles[t as usize]).collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    let distance = |&v: &u32| cut.frame.flat(&surface.mesh.vertices[v as usize]).coords.norm();
+    let mut all: Vec<f64> = vertices.iter().map(distance).collect();
+    let quarter = all.len() / 4;
+    *all.select_nth_unstable_by(quarter, f64::total_cmp).1
 }
 
 /// A section's sides; those that go straight on are one, as the two triangles of a flat face show them.

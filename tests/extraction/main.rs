@@ -5,6 +5,7 @@ mod cancellation;
 mod closed_forms;
 mod cuts;
 mod defects;
+mod focal;
 mod invariance;
 mod known_ends;
 mod lines;

@@ -163,7 +163,7 @@ fn examine(
 fn ends_squarely(grid: &TriangleGrid<'_>, branch: &Branch) -> bool {
     let look = || {
         let place = whole_before(branch, BEFORE[0])?;
-        let tube = Tube::past(grid.surface(), grid, branch, place)?;
+        let tube = Tube::past(grid, branch, place)?;
         let end = branch.points.last()?;
         let Place { along, share, .. } = tube.place(end);
         let (_, direction) = tube.at(along);
@@ -212,7 +212,7 @@ impl View {
         place: usize,
         cancel: &CancelToken,
     ) -> Result<Option<Self>, ExtractError> {
-        let Some(tube) = Tube::past(grid.surface(), grid, branch, place) else { return Ok(None) };
+        let Some(tube) = Tube::past(grid, branch, place) else { return Ok(None) };
         let Some(region) = Region::ahead(grid, &tube, cancel)? else { return Ok(None) };
         Ok(Self::of(branch, &tube, region))
     }

@@ -10,7 +10,7 @@ use crate::mesh::preparation::Surface;
 use crate::centerline::cut_plane::section::{Frame, Profile, Section};
 use crate::centerline::graph::Branch;
 use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
-use crate::centerline::own_sections::section_around;
+use crate::centerline::own_sections::{section_around, tangent};
 use crate::centerline::triangle_grid::TriangleGrid;
 
 /// A tube that begins at a point of a branch.
@@ -42,12 +42,12 @@ pub struct Place {
 impl Tube {
     /// That of `branch` past its point number `place`, toward its last point; `None` where no section is closed around
     /// that point.
-    pub fn past(surface: &Surface, grid: &TriangleGrid<'_>, branch: &Branch, place: usize) -> Option<Self> {
+    pub fn past(grid: &TriangleGrid<'_>, branch: &Branch, place: usize) -> Option<Self> {
         /// How far back the branch tells its bend, and how it widens, in radii.
         const BACK: f64 = 3.0;
         /// Most that a vessel widens a radius.
         const STEEP: f64 = 0.15;
-        let (cut, _, radius) = section_around(surface, grid, branch, place)?;
+        let (cut, _, radius) = section_around(grid, &branch.points[place], tangent(branch, place)?)?;
         let curve = CurveEnd::of(&branch.points[..=place], BACK * radius)?;
         let frame = Frame::new(branch.points[place], Unit::new_normalize(curve.tangent), cut.frame.u);
         let back = (0..place).rev().find(|&i| (branch.points[i] - frame.origin).norm() > BACK * radius);

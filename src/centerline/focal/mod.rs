@@ -1,0 +1,119 @@
+//! Focal places: where a vessel narrows or widens within about a diameter (a stenosis, a fusiform aneurysm).
+//!
+//! The swept tube takes the wall's radius for one smooth curve along the whole branch, as stiff as noise asks for, and hears no
+//! wall half a radius off it: it passes over what changes that fast. So the told radii are held against the line's own
+//! sections. Where they do not agree, the line is told anew from sections close together: it runs through their middles, and its
+//! radius is that of the largest sphere that fits between them.
+
+mod profile;
+mod suspects;
+mod window;
+
+use super::ExtractError;
+use super::component::ComponentGraph;
+use super::control::CancelToken;
+use super::line_tree::LineTree;
+use super::own_sections::{OwnSection, Plane, own_sections_in};
+use super::triangle_grid::TriangleGrid;
+use profile::Profile;
+use suspects::{noise, suspects};
+use window::{Stretch, Window, with_points};
+
+/// Told radius over that of the section, or the other way around: up to the first they agree, from the second on the section
+/// alone is believed, and in between both.
+const AGREED: f64 = 1.05;
+const REFUTED: f64 = 1.12;
+/// More than that of both where nothing shows the wall but a few vertices.
+const COARSE: f64 = 1.2;
+/// Distance of the sections, in radii of the narrowest, where there is something.
+const FINE: f64 = 0.125;
+/// How often the line is moved into the middles of its sections: a throat that it passes beside is first seen from nearby.
+const MOVES: usize = 2;
+
+/// The line with its focal places told anew; `None` where there are none. `sections` are the line's own.
+///
+/// O(sections), and for each focal place O(its sections x triangles crossed + points).
+///
+/// # Errors
+/// [`ExtractError::Cancelled`].
+pub fn told_anew(
+    grid: &TriangleGrid<'_>,
+    sections: &[OwnSection],
+    graph: &ComponentGraph,
+    cancel: &CancelToken,
+) -> Result<Option<ComponentGraph>, ExtractError> {
+    let noise = noise(sections, graph);
+    let look = |graph: &ComponentGraph, windows: &[Window]| {
+        cancel.check()?;
+        let planes: Vec<Plane> = windows.iter().flat_map(Window::planes).collect();
+        let seen = own_sections_in(grid, &LineTree::new(graph), graph, &planes);
+        let profile = |window: &Window| Profile::of(window, &seen, graph, (grid, noise));
+        Ok::<Vec<Profile>, ExtractError>(windows.iter().map(profile).collect())
+    };
+    let suspects = suspects(grid, sections, graph, noise);
+    if suspects.is_empty() {
+        return Ok(None);
+    }
+    let (finer, windows) = with_points(graph, &suspects);
+    let seen = look(&finer, &windows)?.into_iter().zip(suspects);
+    let refuted = seen.filter(|(profile, _)| profile.share > 0.0);
+    let stretches: Vec<Stretch> = refuted
+        .map(|(profile, stretch)| Stretch { step: stretch.step.min(FINE * profile.least), ..stretch })
+        .collect();
+    if stretches.is_empty() {
+        return Ok(None);
+    }
+    let (mut finer, windows) = with_points(graph, &stretches);
+    for _ in 0..MOVES {
+        for (window, profile) in windows.iter().zip(look(&finer, &windows)?) {
+            profile.move_points(window, &mut finer);
+        }
+    }
+    for (window, profile) in windows.iter().zip(look(&finer, &windows)?) {
+        profile.set_radii(window, &mut finer);
+    }
+    Ok(Some(finer))
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::centerline::test_surfaces::revolved;
+    use crate::centerline::{Control, Parameters, extract};
+
+    /// Radii told and known along a tube of radius 2 that is `least` at its middle, over a length of `width`.
+    fn radii(least: f64, width: f64) -> Vec<[f64; 2]> {
+        let known = |z: f64| 2.0 + (least - 2.0) * (-((z - 20.0) / width).powi(2)).exp();
+        let wall = (0..=240).map(|k| f64::from(k) / 6.0).map(|z| (known(z), z));
+        let profile: Vec<(f64, f64)> = std::iter::once((0.0, 0.0)).chain(wall).chain([(0.0, 40.0)]).collect();
+        let found = extract(&revolved(&profile, 32), &Parameters::default(), &Control::silent()).unwrap();
+        let fits = |z: f64| {
+            let away = (0..=1600).map(|k| f64::from(k) / 40.0).map(|w| known(w).hypot(w - z));
+            away.fold(f64::INFINITY, f64::min)
+        };
+        let branch = &found.centerline.branches[0];
+        let inner =
+            branch.points.iter().zip(&branch.radii).filter(|(point, _)| (3.0..37.0).contains(&point.z));
+        inner.map(|(point, &radius)| [radius, fits(point.z)]).collect()
+    }
+
+    #[test]
+    fn a_narrow_place_shorter_than_a_diameter_has_its_radius() {
+        for (least, width) in [(1.0, 1.0), (1.0, 1.5), (1.4, 1.5), (0.5, 1.5), (0.5, 2.0)] {
+            let radii = radii(least, width);
+            let narrowest = radii.iter().map(|[told, _]| *told).fold(f64::INFINITY, f64::min);
+            assert!((narrowest / least - 1.0).abs() < 0.05, "{least} over {width}: {narrowest}");
+            for [told, fits] in radii {
+                assert!((told / fits - 1.0).abs() < 0.12, "{least} over {width}: {told}, not {fits}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_short_widening_has_the_spheres_that_fit() {
+        for (most, width) in [(3.0, 1.5), (3.0, 3.0), (4.0, 2.0), (4.0, 3.0), (4.0, 5.0)] {
+            for [told, fits] in radii(most, width) {
+                assert!((told / fits - 1.0).abs() < 0.07, "{most} over {width}: {told}, not {fits}");
+            }
+        }
+    }
+}
