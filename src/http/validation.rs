@@ -204,7 +204,7 @@ mod tests {
     fn problems_use_the_readers_words() {
         let errors = [
             ReadError::Empty,
-            ReadError::Unsupported { found: "a PNG picture" },
+            ReadError::Unsupported { found: "x", advice: "y" },
             ReadError::Truncated { format: Format::Obj, detail: "x".to_owned() },
             ReadError::Malformed { format: Format::Obj, detail: "x".to_owned() },
             ReadError::NonFinite { format: Format::Obj, vertex: 1 },
