@@ -192,6 +192,10 @@ async fn another_process_on_the_folder_is_refused() {
     while lines.next().unwrap().unwrap() != "open" {}
     let refused = JobService::open(settings(&data, 1), Script::new()).await.err().unwrap().to_string();
     assert!(refused.contains("in use by another rosaline process"), "{refused}");
+    // The lock's file looks like one that a dead process left.
+    std::fs::remove_file(data.join("lock")).unwrap();
+    let refused = JobService::open(settings(&data, 1), Script::new()).await.err().unwrap().to_string();
+    assert!(refused.contains("in use by another rosaline process"), "{refused}");
     child.kill().unwrap();
     child.wait().unwrap();
     JobService::open(settings(&data, 1), Script::new()).await.unwrap().shutdown(Duration::ZERO).await;

@@ -35,6 +35,9 @@ const DISK_THREADS: usize = 16;
 /// How long one of them waits for more to do before it ends and gives its memory back.
 const DISK_REST: Duration = Duration::from_secs(2);
 
+/// How long such a thread may take to end when the service has ended.
+const DISK_END: Duration = Duration::from_secs(5);
+
 /// Serves until SIGTERM or SIGINT.
 ///
 /// # Errors
@@ -51,7 +54,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
         .build()?;
     // Outside the runtime, which it would block when it is dropped.
     let exporter = Exporter::start(args.otlp.as_deref())?;
-    runtime.block_on(serve(args, exporter.spans()))
+    let served = runtime.block_on(serve(args, exporter.spans()));
+    drop(exporter);
+    // A thread that waits for a file (of a network that is away) would keep the process for ever; all is stored by now.
+    runtime.shutdown_timeout(DISK_END);
+    served
 }
 
 /// Whether a service could start with these settings, as far as that is known without doing anything.

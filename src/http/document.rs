@@ -135,7 +135,8 @@ fn description() -> String {
          Errors are problem details (RFC 9457) whose `type` is `{prefix}` and one of the words below; a failed \
          job's `error` has the words of the method's own failures too (`no-triangles`, `all-degenerate`, \
          `far-out`, `not-finite`, `out-of-range`, `out-of-scale`, `off-surface`, `not-tubular`, `undersampled`), or one of the queue's: \
-         {failures}. A word never changes its meaning.\n\n\
+         {failures}. A word never changes its meaning. What cannot be read as HTTP (400), or has an address (414) or headers \
+         (431) that are too long, is answered without a body.\n\n\
          | word | status | title |\n| --- | --- | --- |\n",
         prefix = problem::TYPE_PREFIX,
         failures = JobFailure::CODES.map(|code| format!("`{code}`")).join(", "),

@@ -2,10 +2,10 @@
 
 mod expiry;
 
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant};
-use std::{fs, io};
 
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::crypto::aws_lc_rs;
@@ -14,7 +14,7 @@ use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio_rustls::rustls::{self, ServerConfig};
 use tokio_util::sync::CancellationToken;
 
-use crate::jobs::operator_file::{Stamp, stamp};
+use crate::jobs::operator_file::{self, Stamp, stamp};
 
 pub use expiry::Expiry;
 
@@ -130,7 +130,7 @@ fn load(cert: &Path, key: &Path) -> Result<(Arc<ServerConfig>, Option<Expiry>), 
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, TlsError> {
-    fs::read(path).map_err(|source| TlsError::Io { path: name(path), source })
+    operator_file::read(path).map_err(|source| TlsError::Io { path: name(path), source })
 }
 
 fn name(path: &Path) -> String {

@@ -2,6 +2,7 @@
 
 mod body;
 mod multipart;
+mod overhead;
 
 use axum::extract::Request;
 use axum::http::{HeaderMap, header};

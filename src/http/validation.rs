@@ -17,6 +17,7 @@ use crate::centerline::{ExtractError, Parameters, check_reach};
 use crate::jobs::FormatHint;
 use crate::mesh::TriangleMesh;
 use crate::mesh::format::{self, Format, Hint, ReadError};
+use crate::output;
 
 /// A bounded number of readers on threads of their own, away from the async ones. Small meshes have others than large
 /// ones: one that is read in milliseconds waits for none that takes seconds, neither for its turn nor within rayon, where a
@@ -148,7 +149,8 @@ impl Lane {
             let read = || {
                 let hint =
                     Hint { extension: hint.extension.as_deref(), content_type: hint.content_type.as_deref() };
-                let (mesh, format) = format::read(&bytes, hint, &limits)?;
+                let read = format::read(&bytes, hint, &limits);
+                let (mesh, format) = read.map_err(|error| named(error, &bytes))?;
                 drop(bytes);
                 Ok(check_reach(&mesh, &parameters).map(|()| then(mesh, format)))
             };
@@ -165,6 +167,13 @@ impl Lane {
             }
         }
     }
+}
+
+/// The error, or that the bytes are a result of this service's own, sent back by mistake.
+fn named(error: ReadError, bytes: &[u8]) -> ReadError {
+    let advice = "send the mesh that it was made from";
+    let result = ReadError::Unsupported { found: "a centerline, the result of an extraction", advice };
+    if output::is_result(bytes) { result } else { error }
 }
 
 /// A point that a job would fail for.
@@ -204,7 +213,7 @@ mod tests {
     fn problems_use_the_readers_words() {
         let errors = [
             ReadError::Empty,
-            ReadError::Unsupported { found: "a PNG picture" },
+            ReadError::Unsupported { found: "x", advice: "y" },
             ReadError::Truncated { format: Format::Obj, detail: "x".to_owned() },
             ReadError::Malformed { format: Format::Obj, detail: "x".to_owned() },
             ReadError::NonFinite { format: Format::Obj, vertex: 1 },

@@ -1,7 +1,7 @@
 //! Looks at a data folder without using it: for `rosaline doctor`, also while a service runs there.
 
 use std::cmp::Ordering;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::Path;
 
@@ -10,6 +10,7 @@ use sqlx::{AnyConnection, AssertSqlSafe, Connection};
 
 use super::StoredArtifact;
 use super::clock::SILENCE;
+pub use super::folder::is_in_use;
 use super::folder::percent_encoded;
 
 /// What was found, in words for the operator.
@@ -108,12 +109,6 @@ pub fn secrecy(path: &Path, what: &str, mode: &str) -> Option<Finding> {
     #[cfg(not(unix))]
     let _ = (path, what, mode);
     None
-}
-
-/// Whether a service uses the folder now. Its lock is asked for and given back at once.
-pub fn is_in_use(path: &Path) -> bool {
-    let lock = OpenOptions::new().write(true).open(path.join("lock"));
-    lock.is_ok_and(|lock| matches!(lock.try_lock(), Err(fs::TryLockError::WouldBlock)))
 }
 
 /// Whether the database is whole, of a form that this version knows, and of this time. Reads only.

@@ -11,6 +11,7 @@ use super::faults::{Operation, between};
 /// Bytes kept free for changes of the database on a full disk: a start, a cancellation, a purge.
 const RESERVE: usize = 1 << 20;
 const DATABASE: &str = "jobs.sqlite";
+const LOCK: &str = "lock";
 const LOCK_TRIES: u32 = 5;
 const LOCK_WAIT: Duration = Duration::from_millis(20);
 const RESERVE_STEP: usize = 4 << 10;
@@ -34,7 +35,14 @@ pub enum FolderError {
 #[derive(Debug)]
 pub struct DataFolder {
     path: PathBuf,
-    _lock: File,
+    _locks: Locks,
+}
+
+/// The locks of a folder: on a file in it, and on the folder itself, which holds when somebody removes the file.
+#[derive(Debug)]
+struct Locks {
+    _file: File,
+    _folder: Option<File>,
 }
 
 impl DataFolder {
@@ -46,10 +54,8 @@ impl DataFolder {
         let failed = |source| FolderError::Io { path: path.display().to_string(), source };
         create(path).map_err(failed)?;
         let path = fs::canonicalize(path).map_err(failed)?;
-        let lock = OpenOptions::new().create(true).truncate(false).write(true).open(path.join("lock"));
-        let lock = lock.map_err(failed)?;
-        match patient_lock(&lock) {
-            Ok(()) => Ok(Self { path, _lock: lock }),
+        match Locks::take(&path) {
+            Ok(locks) => Ok(Self { path, _locks: locks }),
             Err(TryLockError::WouldBlock) => Err(FolderError::InUse { path: path.display().to_string() }),
             Err(TryLockError::Error(source)) => Err(failed(source)),
         }
@@ -109,6 +115,29 @@ impl DataFolder {
     pub fn blobs(&self) -> PathBuf {
         self.path.join("blobs")
     }
+}
+
+impl Locks {
+    fn take(path: &Path) -> Result<Self, TryLockError> {
+        let folder = File::open(path).map_err(TryLockError::Error)?;
+        let folder = match patient_lock(&folder) {
+            Ok(()) => Some(folder),
+            Err(TryLockError::WouldBlock) => return Err(TryLockError::WouldBlock),
+            // Not every file system locks folders (NFS does not).
+            Err(TryLockError::Error(_)) => None,
+        };
+        let file = OpenOptions::new().create(true).truncate(false).write(true).open(path.join(LOCK));
+        let file = file.map_err(TryLockError::Error)?;
+        patient_lock(&file)?;
+        Ok(Self { _file: file, _folder: folder })
+    }
+}
+
+/// Whether a service uses the folder now. Its locks are asked for and given back at once.
+pub fn is_in_use(path: &Path) -> bool {
+    let is_taken = |lock: &File| matches!(lock.try_lock(), Err(TryLockError::WouldBlock));
+    let locks = [File::open(path), OpenOptions::new().write(true).open(path.join(LOCK))];
+    locks.iter().flatten().any(is_taken)
 }
 
 /// Whether a file can be made and written here; it is removed again.
@@ -211,6 +240,9 @@ mod tests {
                 && error.to_string().contains("another rosaline process")
         );
         assert!(first.database_url().ends_with("a%20b%3F%23%25/data/jobs.sqlite?mode=rwc"));
+        // As who finds the file left over would do.
+        fs::remove_file(path.join(LOCK)).unwrap();
+        assert!(matches!(DataFolder::open(&path), Err(FolderError::InUse { .. })) && is_in_use(&path));
         drop(first);
         let second = DataFolder::open(&path).unwrap();
         second.keep_reserve();

@@ -87,6 +87,24 @@ async fn what_is_no_mesh_is_refused() {
 }
 
 #[tokio::test]
+async fn json_that_is_no_gltf_is_named() {
+    let service = Service::start(&[]);
+    let job = service.accepted("", meshes::small()).await;
+    service.ended(&job).await;
+    let result = service.get(&format!("{job}/results/centerline.json")).send().await.unwrap();
+    let result = result.bytes().await.unwrap();
+    for (query, body, found) in [
+        ("", result.clone(), "a centerline, the result of an extraction"),
+        ("?dry_run=true", result, "a centerline, the result of an extraction"),
+        ("", "{\"patient\": \"doe\"}".into(), "JSON other than glTF"),
+    ] {
+        let problem = problem(service.submit(query, body).await, 415, "unsupported-format").await;
+        let detail = problem["detail"].as_str().unwrap();
+        assert!(detail.starts_with(&format!("this is {found}")) && !detail.contains("doe"), "{detail}");
+    }
+}
+
+#[tokio::test]
 async fn every_format_cut_short_is_refused() {
     let service = Service::start(&[]);
     let stl = meshes::small();
@@ -264,9 +282,14 @@ async fn wrong_forms_are_refused() {
         let response = service.post("/v1/jobs").multipart(form).send().await.unwrap();
         problem(response, status, word).await;
     }
-    for content_type in ["multipart/form-data", "multipart/form-data; boundary=x"] {
-        let request = service.post("/v1/jobs").header("content-type", content_type).body("--y\r\n");
-        problem(request.send().await.unwrap(), 400, "malformed-request").await;
+    for (content_type, body, todo) in [
+        ("multipart/form-data", "--x\r\n", "send multipart/form-data; boundary="),
+        ("multipart/form-data; boundary=x", "--y\r\n", "as HTTP libraries make it"),
+        ("multipart/form-data; boundary=x", "--x\r\nno head\r\n\r\n--x--\r\n", "as HTTP libraries make it"),
+    ] {
+        let request = service.post("/v1/jobs").header("content-type", content_type).body(body);
+        let problem = problem(request.send().await.unwrap(), 400, "malformed-request").await;
+        assert!(problem["detail"].as_str().unwrap().contains(todo), "{problem}");
     }
     assert_unharmed(&service).await;
 }

@@ -222,6 +222,24 @@ async fn a_changed_certificate_is_taken_over_and_a_broken_one_is_not() {
     }
 }
 
+/// A reader would wait at it for ever: for the next certificate, and when the service is to end.
+#[tokio::test]
+async fn a_pipe_in_place_of_the_certificate_is_refused_as_any_broken_one() {
+    let [first, second] = [Pair::new(), Pair::new()];
+    let files = Files::new(&first);
+    let mut service = files.start(&[]);
+    let client = trusting(&[&first, &second]);
+    std::fs::remove_file(&files.cert).unwrap();
+    assert!(Command::new("mkfifo").arg(&files.cert).status().unwrap().success());
+    logged(&service, "it is no regular file", 1).await;
+    assert_eq!(shown(&service, &client).await, first.der().to_vec());
+    files.put(&second.certificate.pem(), &second.key.serialize_pem());
+    logged(&service, "the TLS certificate has changed", 1).await;
+    assert_eq!(shown(&service, &client).await, second.der().to_vec());
+    service.terminate();
+    assert!(service.wait().success());
+}
+
 /// A connection whose handshake is done.
 async fn talk(service: &Service, pairs: &[&Pair]) -> tokio_rustls::client::TlsStream<TcpStream> {
     let mut roots = RootCertStore::empty();

@@ -157,3 +157,32 @@ async fn nonsense_on_the_socket_does_no_harm() {
     }
     service.assert_alive().await;
 }
+
+/// What is no part's data stays in the memory of the forms' reader until a boundary or a head is whole.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_form_of_endless_heads_is_refused_before_memory_is_taken_for_it() {
+    let service = Service::start(&[]);
+    let before = service.peak_memory();
+    let part = "--b\r\nContent-Disposition: form-data; name=\"mesh\"";
+    for begin in ["no boundary", &format!("{part}\r\nX: "), &part[..part.len() - 1]] {
+        let chunks = std::iter::once(Bytes::copy_from_slice(begin.as_bytes()))
+            .chain(std::iter::repeat_n(Bytes::from(vec![b'x'; 1 << 20]), 40));
+        let body = Body::wrap_stream(stream::iter(chunks.map(Ok::<_, std::io::Error>)));
+        let request = service.post("/v1/jobs").header("content-type", "multipart/form-data; boundary=b");
+        let problem = problem(request.body(body).send().await.unwrap(), 400, "malformed-request").await;
+        assert!(problem["detail"].as_str().unwrap().contains("beside the data of its parts"), "{problem}");
+    }
+    let grown = service.peak_memory() - before;
+    assert!(grown < 20, "{grown} MiB");
+    service.assert_no_files().await;
+    // However its bytes come in, a form that has its mesh behind its parameters is taken.
+    let mesh = meshes::stl(&meshes::tube(400, 40));
+    for size in [997, 70_000, 1 << 20] {
+        let chunks: Vec<_> = mesh.chunks(size).map(|chunk| Ok::<_, std::io::Error>(chunk.to_vec())).collect();
+        let form = Form::new()
+            .text("parameters", "{}")
+            .part("mesh", Part::stream(Body::wrap_stream(stream::iter(chunks))));
+        let response = service.post("/v1/jobs").multipart(form).send().await.unwrap();
+        assert_eq!(response.status(), 201, "{}", response.text().await.unwrap());
+    }
+}

@@ -5,13 +5,14 @@ use std::path::Path;
 
 use axum::RequestExt;
 use axum::extract::Request;
-use axum::extract::multipart::{Field, Multipart, MultipartError};
+use axum::extract::multipart::{Field, Multipart};
 use bytes::Bytes;
-use futures::StreamExt;
+use futures::{Stream, StreamExt, TryStreamExt};
 
 use super::super::App;
 use super::super::parameters::{Asked, json_pairs, source_name};
 use super::super::problem::{MALFORMED_REQUEST, Problem, UPLOAD_TOO_LARGE};
+use super::overhead::Overhead;
 use super::{Received, body};
 use crate::jobs::{FileName, FormatHint, Upload};
 
@@ -28,25 +29,34 @@ pub(super) async fn receive(
     request: Request,
     query: Vec<(String, String)>,
 ) -> Result<Received, Problem> {
-    let multipart = request.extract::<Multipart, _>().await;
-    let mut multipart = multipart.map_err(|error| {
-        Problem::new(&MALFORMED_REQUEST, format!("the form cannot be read: {}", error.body_text()))
+    let overhead = Overhead::default();
+    let parts = overhead.bound(request).extract::<Multipart, _>().await;
+    let parts = parts.map_err(|_| {
+        let detail = "Content-Type names no boundary of the form's parts; send multipart/form-data; \
+                      boundary=..., as HTTP libraries do by themselves";
+        Problem::new(&MALFORMED_REQUEST, detail)
     })?;
-    parts(app, &mut multipart, query).await
+    take_apart(app, &mut Form { parts, overhead }, query).await
 }
 
-async fn parts(
+struct Form {
+    parts: Multipart,
+    overhead: Overhead,
+}
+
+async fn take_apart(
     app: &App,
-    multipart: &mut Multipart,
+    form: &mut Form,
     mut pairs: Vec<(String, String)>,
 ) -> Result<Received, Problem> {
     let (mut mesh, mut has_parameters) = (None, false);
-    while let Some(field) = next_field(app, multipart).await? {
+    let overhead = form.overhead.clone();
+    while let Some(field) = next_field(app, form).await? {
         match field.name() {
-            Some("mesh") if mesh.is_none() => mesh = Some(store(app, field).await?),
+            Some("mesh") if mesh.is_none() => mesh = Some(store(app, field, overhead.clone()).await?),
             Some("parameters") if !has_parameters => {
                 has_parameters = true;
-                let given = json_pairs(&read(app, field).await?)?;
+                let given = json_pairs(&read(app, field, overhead.clone()).await?)?;
                 pairs.retain(|(name, _)| given.iter().all(|(other, _)| other != name));
                 pairs.extend(given);
                 // Refuses wrong parameters before the mesh comes in.
@@ -72,10 +82,11 @@ async fn parts(
     Ok(Received { upload: mesh.upload, asked, hint: mesh.hint, owner: None })
 }
 
-async fn next_field<'a>(app: &App, multipart: &'a mut Multipart) -> Result<Option<Field<'a>>, Problem> {
+async fn next_field<'a>(app: &App, form: &'a mut Form) -> Result<Option<Field<'a>>, Problem> {
     let idle = app.limits().upload_idle;
-    match tokio::time::timeout(idle, multipart.next_field()).await {
-        Ok(field) => field.map_err(|error| broken(&error)),
+    match tokio::time::timeout(idle, form.parts.next_field()).await {
+        // The error's own words are about the reader.
+        Ok(field) => field.map_err(|_| form.overhead.problem()),
         Err(_) => Err(body::refusal(
             app,
             crate::jobs::blob::BlobError::Upload(io::ErrorKind::TimedOut.into()).into(),
@@ -83,29 +94,30 @@ async fn next_field<'a>(app: &App, multipart: &'a mut Multipart) -> Result<Optio
     }
 }
 
-fn broken(error: &MultipartError) -> Problem {
-    Problem::new(&MALFORMED_REQUEST, format!("the form cannot be read: {}", error.body_text()))
+/// A part's data.
+fn data<'a>(
+    field: Field<'a>,
+    overhead: Overhead,
+) -> impl Stream<Item = io::Result<Bytes>> + Send + Unpin + 'a {
+    let given = move |chunk: &Bytes| overhead.given(chunk.len());
+    field.map_err(io::Error::other).inspect_ok(given).boxed()
 }
 
 /// Streams the mesh to disk. The part's content type is a hint only: browsers guess it from the file name.
-async fn store(app: &App, field: Field<'_>) -> Result<Mesh, Problem> {
+async fn store(app: &App, field: Field<'_>, overhead: Overhead) -> Result<Mesh, Problem> {
     let file_name = field.file_name().unwrap_or_default();
     let extension =
         Path::new(file_name).extension().and_then(|extension| extension.to_str()).map(str::to_owned);
     let name = source_name(file_name, app.limits()).ok().flatten();
     let hint = FormatHint { extension, content_type: field.content_type().map(str::to_owned) };
-    let bytes = field.map(|chunk| chunk.map_err(io::Error::other)).boxed();
-    let upload = body::keep(app, bytes).await?;
+    let upload = body::keep(app, data(field, overhead)).await?;
     Ok(Mesh { upload, hint, name })
 }
 
 /// The parameters' bytes.
-async fn read(app: &App, field: Field<'_>) -> Result<Vec<u8>, Problem> {
+async fn read(app: &App, field: Field<'_>, overhead: Overhead) -> Result<Vec<u8>, Problem> {
     let limit = app.limits().parameters_bytes;
-    let mut chunks = Box::pin(body::unless_idle(
-        field.map(|chunk| chunk.map_err(io::Error::other)).boxed(),
-        app.limits().upload_idle,
-    ));
+    let mut chunks = Box::pin(body::unless_idle(data(field, overhead), app.limits().upload_idle));
     let mut whole = Vec::new();
     while let Some(chunk) = chunks.next().await {
         let chunk: Bytes =

@@ -24,8 +24,8 @@ pub enum ReadErrorKind {
 pub enum ReadError {
     #[error("the file is empty; send the bytes of a mesh")]
     Empty,
-    #[error("{}", unsupported(found))]
-    Unsupported { found: &'static str },
+    #[error("this is {found}, not a mesh that is read here; {advice}")]
+    Unsupported { found: &'static str, advice: &'static str },
     #[error("the {format} file ends early: {detail}; send the whole file again")]
     Truncated { format: Format, detail: String },
     #[error("the {format} file is malformed: {detail}; export the mesh again")]
@@ -48,18 +48,10 @@ pub enum ReadError {
     TooLarge { format: Format, what: &'static str, found: u64, limit: u64 },
 }
 
-/// For messages: what may be sent instead.
-const READ_FORMATS: &str = "STL, OBJ, PLY, glTF, GLB, VTP, legacy VTK polydata or OFF";
-
-/// What was found and what to do, the latter behind the former also where `found` names both at once.
-fn unsupported(found: &str) -> String {
-    match found.split_once("; ") {
-        Some((what, todo)) => {
-            format!("this is {what}, not a mesh that is read here; {todo} and send the mesh itself")
-        }
-        None => format!("this is {found}, not a mesh that is read here; send {READ_FORMATS}"),
-    }
-}
+/// The advice where what was found says no more than that it is something else.
+pub(super) const SEND_A_MESH: &str = "send STL, OBJ, PLY, glTF, GLB, VTP, legacy VTK polydata or OFF";
+/// The advice where the surface may be in the file, among what is no surface.
+pub(super) const EXTRACT_THE_SURFACE: &str = "extract the surface, save that and send it";
 
 impl ReadError {
     pub fn kind(&self) -> ReadErrorKind {

@@ -12,6 +12,7 @@ use gltf::json::validation::Checked;
 use gltf::json::{Mesh, Root};
 use nalgebra::Matrix4;
 
+use super::error::SEND_A_MESH;
 use super::gltf_data::Buffers;
 use super::gltf_scene::placed_meshes;
 use super::surface::{Surface, check_limit};
@@ -41,7 +42,21 @@ const HARMLESS: [&str; 8] = [
 
 pub(super) fn read_json(bytes: &[u8], limits: &Limits) -> Result<TriangleMesh, ReadError> {
     let json = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    guarded(Format::Gltf, || read(Format::Gltf, json, None, limits))
+    let read = guarded(Format::Gltf, || read(Format::Gltf, json, None, limits));
+    read.map_err(|error| if is_other_json(json) { OTHER_JSON } else { error })
+}
+
+/// JSON is taken for glTF by its first character.
+const OTHER_JSON: ReadError =
+    ReadError::Unsupported { found: "JSON other than glTF (it has no \"asset\")", advice: SEND_A_MESH };
+
+/// Whether this is whole JSON without what every glTF has (glTF 2.0, section 3.2).
+fn is_other_json(json: &[u8]) -> bool {
+    #[derive(serde::Deserialize)]
+    struct Probe {
+        asset: Option<serde::de::IgnoredAny>,
+    }
+    serde_json::from_slice::<Probe>(json).is_ok_and(|probe| probe.asset.is_none())
 }
 
 pub(super) fn read_glb(bytes: &[u8], limits: &Limits) -> Result<TriangleMesh, ReadError> {

@@ -1,5 +1,6 @@
 //! Which format some bytes are: by content first, by the sender's word where content leaves doubts.
 
+use super::error::SEND_A_MESH;
 use super::{Format, Hint, ReadError, off, stl};
 
 /// How far to look for the first telling words of a text file.
@@ -12,6 +13,10 @@ pub const TELLING: usize = 512;
 const OBJ_WORDS: [&str; 14] =
     ["v", "vn", "vt", "vp", "f", "l", "p", "g", "o", "s", "mtllib", "usemtl", "mg", "cstype"];
 
+/// The advice where the mesh is in what was found.
+const UNPACK: &str = "unpack it first and send the mesh itself";
+const NOT_UTF_16: &str = "save it as ASCII or UTF-8 and send the mesh itself";
+
 /// # Errors
 /// `Empty`, or `Unsupported` with what the bytes look like.
 pub(super) fn sniff(bytes: &[u8], hint: Hint<'_>) -> Result<Format, ReadError> {
@@ -21,8 +26,8 @@ pub(super) fn sniff(bytes: &[u8], hint: Hint<'_>) -> Result<Format, ReadError> {
     if let Some(format) = by_signature(bytes) {
         return Ok(format);
     }
-    if let Some(found) = foreign(bytes) {
-        return Err(ReadError::Unsupported { found });
+    if let Some(error) = foreign(bytes) {
+        return Err(error);
     }
     if has_obj_words(bytes) {
         return Ok(Format::Obj);
@@ -32,6 +37,7 @@ pub(super) fn sniff(bytes: &[u8], hint: Hint<'_>) -> Result<Format, ReadError> {
     }
     by_hint(bytes, hint).ok_or_else(|| ReadError::Unsupported {
         found: if is_text(bytes) { "text of no known kind" } else { "data of no known kind" },
+        advice: SEND_A_MESH,
     })
 }
 
@@ -44,7 +50,7 @@ pub fn plainly_foreign(begin: &[u8]) -> Option<ReadError> {
     if is_stl || skip_space(begin).starts_with(b"<") || by_signature(begin).is_some() {
         return None;
     }
-    foreign(begin).map(|found| ReadError::Unsupported { found })
+    foreign(begin)
 }
 
 /// Formats that say what they are, or whose size does.
@@ -81,8 +87,8 @@ fn is_ascii_stl(text: &[u8]) -> bool {
 }
 
 /// Other files that people send by mistake, named so that the answer helps.
-fn foreign(bytes: &[u8]) -> Option<&'static str> {
-    const SIGNATURES: [(&[u8], &str); 24] = [
+fn foreign(bytes: &[u8]) -> Option<ReadError> {
+    const SIGNATURES: [(&[u8], &str); 16] = [
         (b"\x89PNG", "a PNG picture"),
         (b"\xff\xd8\xff", "a JPEG picture"),
         (b"GIF8", "a GIF picture"),
@@ -90,12 +96,6 @@ fn foreign(bytes: &[u8]) -> Option<&'static str> {
         (b"MM\0*", "a TIFF picture"),
         (b"%PDF", "a PDF document"),
         (b"PK\x03\x04", "a ZIP archive (or a 3MF file, or an office document)"),
-        (b"\x1f\x8b", "gzip-compressed data; unpack it first"),
-        (b"BZh", "bzip2-compressed data; unpack it first"),
-        (b"\xfd7zXZ", "xz-compressed data; unpack it first"),
-        (b"\x28\xb5\x2f\xfd", "zstd-compressed data; unpack it first"),
-        (b"7z\xbc\xaf", "a 7z archive"),
-        (b"Rar!", "a RAR archive"),
         (b"\x89HDF", "an HDF5 file"),
         (b"NRRD", "an NRRD image"),
         (b"ObjectType", "a MetaImage header"),
@@ -103,26 +103,39 @@ fn foreign(bytes: &[u8]) -> Option<&'static str> {
         (b"BLENDER", "a Blender scene"),
         (b"ISO-10303", "a STEP model"),
         (b"\x7fELF", "an executable program"),
-        (b"\xff\xfe", "UTF-16 text; save it as ASCII or UTF-8"),
-        (b"\xfe\xff", "UTF-16 text; save it as ASCII or UTF-8"),
         (b"<!DOCTYPE", "a web page"),
         (b"<html", "a web page"),
     ];
+    // A mesh may be in them.
+    const WRAPPINGS: [(&[u8], &str, &str); 8] = [
+        (b"\x1f\x8b", "gzip-compressed data", UNPACK),
+        (b"BZh", "bzip2-compressed data", UNPACK),
+        (b"\xfd7zXZ", "xz-compressed data", UNPACK),
+        (b"\x28\xb5\x2f\xfd", "zstd-compressed data", UNPACK),
+        (b"7z\xbc\xaf", "a 7z archive", UNPACK),
+        (b"Rar!", "a RAR archive", UNPACK),
+        (b"\xff\xfe", "UTF-16 text", NOT_UTF_16),
+        (b"\xfe\xff", "UTF-16 text", NOT_UTF_16),
+    ];
+    let other = |found| Some(ReadError::Unsupported { found, advice: SEND_A_MESH });
     let text = skip_space(bytes);
     let begins = |signature: &[u8]| {
         bytes.starts_with(signature)
             || text.get(..signature.len()).is_some_and(|begin| begin.eq_ignore_ascii_case(signature))
     };
+    if let Some(&(_, found, advice)) = WRAPPINGS.iter().find(|(signature, ..)| begins(signature)) {
+        return Some(ReadError::Unsupported { found, advice });
+    }
     if let Some((_, found)) = SIGNATURES.iter().find(|(signature, _)| begins(signature)) {
-        return Some(found);
+        return other(found);
     }
     if bytes.get(128..132) == Some(b"DICM") {
-        return Some("a DICOM file");
+        return other("a DICOM file");
     }
     if matches!(bytes.get(344..348), Some(b"n+1\0" | b"ni1\0")) {
-        return Some("a NIfTI image");
+        return other("a NIfTI image");
     }
-    text.starts_with(b"<").then_some("XML other than VTK's")
+    if text.starts_with(b"<") { other("XML other than VTK's") } else { None }
 }
 
 fn has_obj_words(bytes: &[u8]) -> bool {

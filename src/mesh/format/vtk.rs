@@ -4,6 +4,7 @@
 //! Own reader: the crate for it does not read both cell layouts. Reading ends with the geometry;
 //! the title, attributes and field data are passed over.
 
+use super::error::EXTRACT_THE_SURFACE;
 use super::scalar::{ByteOrder, Scalar};
 use super::surface::Surface;
 use super::text::Tokens;
@@ -85,8 +86,8 @@ impl Legacy<'_> {
         if self.data.tokens.take_if("POLYDATA")? {
             return Ok(());
         }
-        let found = "a legacy VTK file of another kind than POLYDATA (extract the surface and save that)";
-        Err(ReadError::Unsupported { found })
+        let found = "a legacy VTK file of another kind than POLYDATA";
+        Err(ReadError::Unsupported { found, advice: EXTRACT_THE_SURFACE })
     }
 
     /// A count in a section's first line, which is text in binary files too.

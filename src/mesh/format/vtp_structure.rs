@@ -7,6 +7,7 @@ use quick_xml::Reader;
 use quick_xml::errors::SyntaxError;
 use quick_xml::events::{BytesStart, BytesText, Event};
 
+use super::error::EXTRACT_THE_SURFACE;
 use super::scalar::{ByteOrder, Scalar};
 use super::values::Values;
 use super::vtp_data::{Appended, Array, Compression, Decoder, Role};
@@ -179,8 +180,8 @@ impl<'a> Structure<'a> {
 
     fn read_file_tag(&mut self, tag: &BytesStart<'a>) -> Result<(), ReadError> {
         if attribute(tag, "type") != Some("PolyData") {
-            let found = "a VTK XML file of another kind than PolyData (extract the surface and save that)";
-            return Err(ReadError::Unsupported { found });
+            let found = "a VTK XML file of another kind than PolyData";
+            return Err(ReadError::Unsupported { found, advice: EXTRACT_THE_SURFACE });
         }
         if attribute(tag, "byte_order") == Some("BigEndian") {
             self.order = ByteOrder::Big;
