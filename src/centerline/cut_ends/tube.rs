@@ -5,8 +5,6 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Point2, Point3, Unit, Vector2, Vector3};
 
-use crate::mesh::preparation::Surface;
-
 use crate::centerline::cut_plane::section::{Frame, Profile, Section};
 use crate::centerline::graph::Branch;
 use crate::centerline::laplacian_smoothing::curve_fit::CurveEnd;
