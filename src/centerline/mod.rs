@@ -30,6 +30,7 @@ mod smoothing_filter;
 mod test_surfaces;
 mod thinning;
 mod tips;
+mod traced_line;
 mod triangle_grid;
 
 pub use control::{CancelToken, Control, Part, Progress, Stage};
@@ -48,10 +49,9 @@ use crate::mesh::preparation::{
 };
 use crate::mesh::reopening::Closure;
 use component::ComponentGraph;
-use line_tree::LineTree;
-use own_sections::{OwnSection, own_sections};
 use quality::{Line, Measured};
 use tips::picks::{self, Picks};
+use traced_line::{TracedLine, traced};
 use triangle_grid::TriangleGrid;
 
 /// A component smaller than this share of the largest one's diagonal is a speck of the segmentation.
@@ -158,43 +158,6 @@ fn component(
     Ok(line)
 }
 
-/// A line with its own sections.
-struct TracedLine {
-    graph: ComponentGraph,
-    tree: LineTree,
-    sections: Vec<OwnSection>,
-}
-
-impl TracedLine {
-    /// The equivalent radii come from the sections.
-    fn of(mut graph: ComponentGraph, grid: &TriangleGrid<'_>) -> Self {
-        let tree = LineTree::new(&graph);
-        let sections = own_sections(grid, &tree, &graph);
-        equivalent_radius::settle(&mut graph, &sections);
-        Self { graph, tree, sections }
-    }
-}
-
-/// The line of a prepared surface, and the surface's triangles, sorted on the way.
-fn traced<'a>(
-    surface: &'a Surface,
-    (diagonal, parameters, picks): (f64, &Parameters, &Picks),
-    control: &Control<'_>,
-) -> Result<(TriangleGrid<'a>, TracedLine), ExtractError> {
-    let (grid, mut graph) = match parameters.preset() {
-        Preset::Default => preset_default::extract_component(surface, parameters, picks, control),
-        Preset::Paper => preset_paper::extract_component(surface, diagonal, parameters, picks, control)
-            .map(|graph| (TriangleGrid::new(surface), graph)),
-    }?;
-    graph.check_numbers()?;
-    least_radii::raise(&grid, &mut graph);
-    if let Some(root) = picks.root {
-        orientation::tell_from(&mut graph, &surface.mesh.vertices[root.vertex as usize]);
-    }
-    let line = TracedLine::of(graph, &grid);
-    Ok((grid, line))
-}
-
 /// The line with its focal places, and how good it is.
 fn finished(
     index: usize,
@@ -204,9 +167,9 @@ fn finished(
     control: &Control<'_>,
 ) -> Result<ComponentLine, ExtractError> {
     if parameters.preset() == Preset::Default
-        && let Some(graph) = focal::told_anew(grid, &line.sections, &line.graph, &control.cancel)?
+        && let Some(focal) = focal::told_anew(grid, &line.sections, &line.graph, &control.cancel)?
     {
-        line = TracedLine::of(graph, grid);
+        line = line.told_anew(focal, grid);
     }
     let TracedLine { graph, tree, sections } = &line;
     let (measured, warnings) =

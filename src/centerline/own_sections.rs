@@ -52,14 +52,19 @@ pub struct OwnSection {
     pub inscribed: f64,
 }
 
-/// The own sections of a component's line, in its order. O(sections x triangles crossed).
-pub fn own_sections(grid: &TriangleGrid<'_>, line: &LineTree, graph: &ComponentGraph) -> Vec<OwnSection> {
-    let of_branch = |(number, branch)| {
+/// The own sections of some branches of a component's line, in their order. O(sections x triangles crossed).
+pub fn own_sections(
+    grid: &TriangleGrid<'_>,
+    line: &LineTree,
+    graph: &ComponentGraph,
+    branches: impl Iterator<Item = usize>,
+) -> Vec<OwnSection> {
+    let of_branch = |number: usize| {
+        let branch = &graph.branches[number];
         let plane = move |place| Some(Plane { branch: number, place, tangent: tangent(branch, place)? });
         places(branch).into_iter().filter_map(plane)
     };
-    let planes: Vec<Plane> = graph.branches.iter().enumerate().flat_map(of_branch).collect();
-    own_sections_in(grid, line, graph, &planes)
+    own_sections_in(grid, line, graph, &branches.flat_map(of_branch).collect::<Vec<Plane>>())
 }
 
 /// A plane through a point of the line.

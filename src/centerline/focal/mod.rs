@@ -30,6 +30,12 @@ const FINE: f64 = 0.125;
 /// How often the line is moved into the middles of its sections: a throat that it passes beside is first seen from nearby.
 const MOVES: usize = 2;
 
+/// A line whose focal places were told anew, and which of its branches have any.
+pub struct FocalPlaces {
+    pub graph: ComponentGraph,
+    pub branches: Vec<usize>,
+}
+
 /// The line with its focal places told anew; `None` where there are none. `sections` are the line's own.
 ///
 /// O(sections), and for each focal place O(its sections x triangles crossed + points).
@@ -41,7 +47,7 @@ pub fn told_anew(
     sections: &[OwnSection],
     graph: &ComponentGraph,
     cancel: &CancelToken,
-) -> Result<Option<ComponentGraph>, ExtractError> {
+) -> Result<Option<FocalPlaces>, ExtractError> {
     let noise = noise(sections, graph);
     let look = |graph: &ComponentGraph, windows: &[Window]| {
         cancel.check()?;
@@ -72,7 +78,9 @@ pub fn told_anew(
     for (window, profile) in windows.iter().zip(look(&finer, &windows)?) {
         profile.set_radii(window, &mut finer);
     }
-    Ok(Some(finer))
+    let mut branches: Vec<usize> = stretches.iter().map(|stretch| stretch.branch).collect();
+    branches.dedup();
+    Ok(Some(FocalPlaces { graph: finer, branches }))
 }
 
 #[cfg(test)]

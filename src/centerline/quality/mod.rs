@@ -148,7 +148,7 @@ mod tests {
 
     fn measured(surface: &Surface, graph: &ComponentGraph) -> (Quality, Vec<&'static str>) {
         let (grid, tree) = (TriangleGrid::new(surface), LineTree::new(graph));
-        let sections = &own_sections(&grid, &tree, graph);
+        let sections = &own_sections(&grid, &tree, graph, 0..graph.branches.len());
         let (sum, warnings) = Measured::of(0, Line { surface, grid: &grid, graph, tree: &tree, sections });
         (sum.quality().unwrap(), warnings.iter().map(|warning| warning.code).collect())
     }
