@@ -25,10 +25,7 @@ const TERMS: usize = 10;
 pub fn wall_radius(surface: &Surface, cut: &Section, centre: &Point2<f64>, radius: f64) -> f64 {
     /// Facets make no vessel thinner than this share; past it the vertices are not those of this wall.
     const MOST: f64 = 0.2;
-    let mut vertices: Vec<u32> =
-        cut.triangles.iter().flat_map(|&t| surface.mesh.triangles[t as usize]).collect();
-    vertices.sort_unstable();
-    vertices.dedup();
+    let vertices = cut.vertices(surface);
     let place = |v: u32| {
         let p = surface.mesh.vertices[v as usize];
         let along = (p - cut.frame.origin).dot(&cut.frame.t) / radius;
@@ -101,10 +98,7 @@ pub fn settle(graph: &mut ComponentGraph, sections: &[OwnSection]) {
 /// The inscribed sphere's disc lies in the section, so that no ratio is below 1: noise alone, or an inscribed
 /// radius averaged over neighbours that are wider, makes one.
 fn along_branch(branch: &Branch, sections: &[OwnSection]) -> Vec<f64> {
-    let mut way = vec![0.0];
-    for pair in branch.points.windows(2) {
-        way.push(way[way.len() - 1] + (pair[1] - pair[0]).norm());
-    }
+    let way = branch.ways();
     let known: Vec<(f64, f64)> = sections
         .iter()
         .map(|section| (way[section.place], (section.wall_radius / branch.radii[section.place]).max(1.0)))

@@ -46,6 +46,17 @@ impl Branch {
         Self { from, to, points, equivalent_radii: radii.clone(), radii }
     }
 
+    /// The way along the points to each of them, in the input's unit.
+    pub fn ways(&self) -> Vec<f64> {
+        let mut way = 0.0;
+        let steps = self.points.windows(2).map(|pair| (pair[1] - pair[0]).norm());
+        let rest = steps.map(|step| {
+            way += step;
+            way
+        });
+        std::iter::once(0.0).chain(rest).collect()
+    }
+
     /// Length along the points, in the input's unit.
     pub fn length(&self) -> f64 {
         self.points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()

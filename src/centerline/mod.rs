@@ -169,7 +169,7 @@ fn finished(
     if parameters.preset() == Preset::Default
         && let Some(focal) = focal::told_anew(grid, &line.sections, &line.graph, &control.cancel)?
     {
-        line = line.told_anew(focal, grid);
+        line = line.told_anew(focal, grid)?;
     }
     let TracedLine { graph, tree, sections } = &line;
     let (measured, warnings) =

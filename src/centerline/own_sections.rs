@@ -1,6 +1,6 @@
 //! The line's own sections: where the surface, cut perpendicular to the line, shows one vessel alone.
 //!
-//! At inner points of the branches, half a local radius apart or more, the surface is cut. A section is the line's
+//! At inner points of the branches, half a local radius apart or more where nobody asks for others, the surface is cut. A section is the line's
 //! own when it is closed around the point and one vessel's alone:
 //!
 //! - it is as convex as a vessel's: it fills 0.85 of what its own tangents enclose;
@@ -47,8 +47,8 @@ pub struct OwnSection {
     /// The same of the wall: by as much more as its radius is than the polygon's. Infinite where the mesh is too coarse to
     /// tell.
     pub near: f64,
-    /// Radius of the largest circle inside: the short half axis of the ellipse that has the wall's area and the section's second
-    /// moments. Where the mesh is too coarse, how far the nearest quarter of its vertices there lies from the line.
+    /// Short half axis of the ellipse that has the wall's area and the section's second moments: the largest circle in an ellipse.
+    /// Where the mesh is too coarse, how far the nearest quarter of its vertices there lies from the centroid.
     pub inscribed: f64,
 }
 
@@ -105,7 +105,7 @@ pub fn own_sections_in(
             let inscribed = if shows_wall {
                 wall_radius * narrowness(&cut, &centroid)
             } else {
-                nearest_vertices(surface, &cut)
+                nearest_vertices(surface, &cut, &centroid)
             };
             let faces = faces(&cut);
             let as_sides = faces.len() == cut.points.len();
@@ -199,14 +199,10 @@ fn narrowness(cut: &Section, centroid: &Point2<f64>) -> f64 {
     if most > 0.0 { (least / most).clamp(0.0, 1.0).sqrt().sqrt() } else { 1.0 }
 }
 
-/// Distance from the line of the nearest quarter of the vertices whose triangles a section crosses.
-fn nearest_vertices(surface: &Surface, cut: &Section) -> f64 {
-    let mut vertices: Vec<u32> =
-        cut.triangles.iter().flat_map(|&t| surface.mesh.triangles[t as usize]).collect();
-    vertices.sort_unstable();
-    vertices.dedup();
-    let distance = |&v: &u32| cut.frame.flat(&surface.mesh.vertices[v as usize]).coords.norm();
-    let mut all: Vec<f64> = vertices.iter().map(distance).collect();
+/// Distance from a section's centroid, across its plane, of the nearest quarter of the vertices whose triangles it crosses.
+fn nearest_vertices(surface: &Surface, cut: &Section, centroid: &Point2<f64>) -> f64 {
+    let distance = |&v: &u32| (cut.frame.flat(&surface.mesh.vertices[v as usize]) - centroid).norm();
+    let mut all: Vec<f64> = cut.vertices(surface).iter().map(distance).collect();
     let quarter = all.len() / 4;
     *all.select_nth_unstable_by(quarter, f64::total_cmp).1
 }

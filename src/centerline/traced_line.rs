@@ -30,15 +30,19 @@ impl TracedLine {
     }
 
     /// The same with the focal places of the branches that have any.
-    pub fn told_anew(self, focal: FocalPlaces, grid: &TriangleGrid<'_>) -> Self {
+    ///
+    /// # Errors
+    /// [`ExtractError::NotTubular`], see [`ComponentGraph::check_numbers`].
+    pub fn told_anew(self, focal: FocalPlaces, grid: &TriangleGrid<'_>) -> Result<Self, ExtractError> {
         let FocalPlaces { mut graph, branches } = focal;
+        graph.check_numbers()?;
         let tree = LineTree::new(&graph);
         let mut sections = self.sections;
-        sections.retain(|section| !branches.contains(&section.branch));
+        sections.retain(|section| branches.binary_search(&section.branch).is_err());
         sections.extend(own_sections(grid, &tree, &graph, branches.into_iter()));
         sections.sort_by_key(|section| section.branch);
         equivalent_radius::settle(&mut graph, &sections);
-        Self { graph, tree, sections }
+        Ok(Self { graph, tree, sections })
     }
 }
 

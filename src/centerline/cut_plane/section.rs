@@ -177,6 +177,15 @@ impl Section {
         SectionMeasure { area: 0.5 * twice, centroid }
     }
 
+    /// The vertices of the triangles that it crosses, in the order of their numbers.
+    pub fn vertices(&self, surface: &Surface) -> Vec<u32> {
+        let mut all: Vec<u32> =
+            self.triangles.iter().flat_map(|&t| surface.mesh.triangles[t as usize]).collect();
+        all.sort_unstable();
+        all.dedup();
+        all
+    }
+
     /// The sides: both corners and the triangle.
     pub fn sides(&self) -> impl Iterator<Item = (Point2<f64>, Point2<f64>, u32)> + '_ {
         let n = self.points.len();

@@ -9,6 +9,8 @@ mod profile;
 mod suspects;
 mod window;
 
+use rayon::prelude::*;
+
 use super::ExtractError;
 use super::component::ComponentGraph;
 use super::control::CancelToken;
@@ -38,7 +40,7 @@ pub struct FocalPlaces {
 
 /// The line with its focal places told anew; `None` where there are none. `sections` are the line's own.
 ///
-/// O(sections), and for each focal place O(its sections x triangles crossed + points).
+/// O(sections), and for each focal place O(its sections x (triangles crossed + its sections + points of the branch)).
 ///
 /// # Errors
 /// [`ExtractError::Cancelled`].
@@ -53,10 +55,15 @@ pub fn told_anew(
         cancel.check()?;
         let planes: Vec<Plane> = windows.iter().flat_map(Window::planes).collect();
         let seen = own_sections_in(grid, &LineTree::new(graph), graph, &planes);
-        let profile = |window: &Window| Profile::of(window, &seen, graph, (grid, noise));
-        Ok::<Vec<Profile>, ExtractError>(windows.iter().map(profile).collect())
+        let profile = |window: &Window| {
+            let before =
+                |place: usize| seen.partition_point(|s| (s.branch, s.place) < (window.branch, place));
+            let here = before(window.places.start)..before(window.places.end);
+            Profile::of(window, &seen[here], graph, noise[window.branch])
+        };
+        Ok::<Vec<Profile>, ExtractError>(windows.par_iter().map(profile).collect())
     };
-    let suspects = suspects(grid, sections, graph, noise);
+    let suspects = suspects(grid, sections, graph, &noise);
     if suspects.is_empty() {
         return Ok(None);
     }
@@ -76,7 +83,7 @@ pub fn told_anew(
         }
     }
     for (window, profile) in windows.iter().zip(look(&finer, &windows)?) {
-        profile.set_radii(window, &mut finer);
+        profile.set_radii(window, grid, noise[window.branch], &mut finer);
     }
     let mut branches: Vec<usize> = stretches.iter().map(|stretch| stretch.branch).collect();
     branches.dedup();

@@ -5,7 +5,7 @@ use std::ops::{Add, Mul};
 use nalgebra::{Point3, Vector3};
 
 use super::suspects::is_clear;
-use super::window::{Window, ways};
+use super::window::Window;
 use super::{AGREED, COARSE, REFUTED};
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::own_sections::OwnSection;
@@ -14,57 +14,59 @@ use crate::centerline::triangle_grid::TriangleGrid;
 /// Distance of the line from the middles of the sections, in their radii, up to which it stays, as it knows the wall on either
 /// side as well; from twice that on it moves all the way.
 const CENTRED: f64 = 0.15;
+/// How far a place takes the worst that is seen, in radii.
+const AROUND: f64 = 1.0;
+/// How much more than the distance of the wall, which noise brings near, a sphere may have that is wider than told.
+const PAST_WALL: f64 = 1.15;
 
 /// What is told anew at the points of a [`Window`].
 pub struct Profile {
     /// From each point to its place in the middle.
     aside: Vec<Vector3<f64>>,
-    /// Each radius over the told one.
-    ratios: Vec<f64>,
-    /// How much of that is believed, 0 to 1.
+    /// The radius of the sphere around each point that no section's wall enters.
+    spheres: Vec<f64>,
+    /// How much of that is believed at each, 0 to 1.
+    shares: Vec<f64>,
+    /// The most of it.
     pub share: f64,
     /// The smallest radius of a section.
     pub least: f64,
 }
 
 impl Profile {
-    /// `sections` are those in the window's planes, and maybe others; `noise` is the ratio that they differ by without any reason.
-    pub fn of(
-        window: &Window,
-        sections: &[OwnSection],
-        graph: &ComponentGraph,
-        (grid, noise): (&TriangleGrid<'_>, f64),
-    ) -> Self {
+    /// `seen` are the sections in the window's planes; `noise` is the ratio that they differ by without any reason.
+    pub fn of(window: &Window, seen: &[OwnSection], graph: &ComponentGraph, noise: f64) -> Self {
         let branch = &graph.branches[window.branch];
-        let ways = ways(branch);
-        let is_here = |s: &&OwnSection| s.branch == window.branch && window.places.contains(&s.place);
-        let here = sections.iter().filter(is_here);
-        let own: Vec<&OwnSection> = here.filter(|section| is_clear(graph, section, &ways)).collect();
-        let count = window.places.len();
+        let ways = branch.ways();
+        let own: Vec<&OwnSection> = seen.iter().filter(|section| is_clear(graph, section, &ways)).collect();
+        let (points, told) = (&branch.points[window.places.clone()], &branch.radii[window.places.clone()]);
         if own.is_empty() {
-            let (aside, ratios) = (vec![Vector3::zeros(); count], vec![1.0; count]);
-            return Self { aside, ratios, share: 0.0, least: f64::INFINITY };
+            let (aside, shares) = (vec![Vector3::zeros(); points.len()], vec![0.0; points.len()]);
+            return Self { aside, spheres: told.to_vec(), shares, share: 0.0, least: f64::INFINITY };
         }
         let place = |section: &OwnSection| section.place - window.places.start;
         let middle = |&section: &&OwnSection| (place(section), section.middle - branch.points[section.place]);
         let radius = |&section: &&OwnSection| (place(section), section.inscribed.ln());
-        let mut aside = smoothed(between(&own.iter().map(middle).collect::<Vec<_>>(), count));
-        let radii = smoothed(between(&own.iter().map(radius).collect::<Vec<_>>(), count));
+        let mut aside = smoothed(between(&own.iter().map(middle).collect::<Vec<_>>(), points.len()));
+        let radii = smoothed(between(&own.iter().map(radius).collect::<Vec<_>>(), points.len()));
         let radii: Vec<f64> = radii.into_iter().map(f64::exp).collect();
-        let (points, told) = (&branch.points[window.places.clone()], &branch.radii[window.places.clone()]);
-        let mut ratios = spheres(points, &radii, told, |point| noise * grid.wall_distance(point));
+        let spheres = spheres(points, &radii);
 
-        let most = ratios.iter().map(|ratio| ratio.max(1.0 / ratio)).fold(1.0, f64::max);
-        let showing = own.iter().filter(|section| section.near.is_finite()).count();
-        let usual = if 2 * showing < own.len() { COARSE * noise } else { noise };
-        let share = ((most / usual - AGREED) / (REFUTED - AGREED)).clamp(0.0, 1.0);
-        let off = aside.iter().zip(&radii).map(|(aside, radius)| aside.norm() / radius).fold(0.0, f64::max);
-        let moved = share * ((off - CENTRED) / CENTRED).clamp(0.0, 1.0);
-        for (i, fade) in window.fade.iter().enumerate() {
-            aside[i] *= fade * moved;
-            ratios[i] = ratios[i].powf(fade * share);
+        let showing = own.iter().filter(|section| section.near.is_finite()).count() as f64 / own.len() as f64;
+        let usual = noise * COARSE.powf((2.0 * (1.0 - showing)).min(1.0));
+        // Only where there is a section: beyond the last, nothing is known.
+        let ratio =
+            |i: usize| if told[i] > 0.0 { (spheres[i] / told[i]).max(told[i] / spheres[i]) } else { 1.0 };
+        let places: Vec<usize> = own.iter().map(|section| place(section)).collect();
+        let worst = around(points, &radii, &places, ratio);
+        let off = around(points, &radii, &places, |i| aside[i].norm() / radii[i]);
+        let share = |i: usize| ((worst[i] / usual - AGREED) / (REFUTED - AGREED)).clamp(0.0, 1.0);
+        let shares: Vec<f64> = (0..points.len()).map(|i| window.fade[i] * share(i)).collect();
+        for i in 0..points.len() {
+            aside[i] *= shares[i] * ((off[i] - CENTRED) / CENTRED).clamp(0.0, 1.0);
         }
-        Self { aside, ratios, share, least: radii.into_iter().fold(f64::INFINITY, f64::min) }
+        let share = shares.iter().copied().fold(0.0, f64::max);
+        Self { aside, spheres, shares, share, least: radii.into_iter().fold(f64::INFINITY, f64::min) }
     }
 
     pub fn move_points(&self, window: &Window, graph: &mut ComponentGraph) {
@@ -72,26 +74,48 @@ impl Profile {
         points.iter_mut().zip(&self.aside).for_each(|(point, aside)| *point += aside);
     }
 
-    pub fn set_radii(&self, window: &Window, graph: &mut ComponentGraph) {
-        let told = &mut graph.branches[window.branch].radii[window.places.clone()];
-        told.iter_mut().zip(&self.ratios).for_each(|(radius, ratio)| *radius *= ratio);
+    /// A radius that shrinks stays as large as the wall is far, whose sphere fits for sure; one that grows stays off the wall between
+    /// and beyond the sections, as a dome is, which has none.
+    pub fn set_radii(
+        &self,
+        window: &Window,
+        grid: &TriangleGrid<'_>,
+        noise: f64,
+        graph: &mut ComponentGraph,
+    ) {
+        let branch = &mut graph.branches[window.branch];
+        for (i, place) in window.places.clone().enumerate() {
+            let (told, sphere) = (branch.radii[place], self.spheres[i]);
+            if told <= 0.0 || self.shares[i] <= 0.0 {
+                continue;
+            }
+            let wall = grid.wall_distance(&branch.points[place]);
+            let past = noise.min(PAST_WALL) * wall;
+            let fits = if sphere > told { sphere.min(past).max(told) } else { sphere.max(wall.min(told)) };
+            branch.radii[place] = told * (fits / told).powf(self.shares[i]);
+        }
     }
 }
 
-/// The radii of the spheres around `points` that no section's wall enters, over the told ones. One that is larger than what was
-/// told also stays off the wall between and beyond the sections, as a dome is, which has none.
-fn spheres(
-    points: &[Point3<f64>],
-    radii: &[f64],
-    told: &[f64],
-    wall: impl Fn(&Point3<f64>) -> f64,
-) -> Vec<f64> {
-    let one = |(point, told): (&Point3<f64>, &f64)| {
+/// The radii of the spheres around `points` that no section's wall enters; `radii` are those of the sections.
+fn spheres(points: &[Point3<f64>], radii: &[f64]) -> Vec<f64> {
+    let one = |point: &Point3<f64>| {
         let square = |(other, radius): (&Point3<f64>, &f64)| radius * radius + (other - point).norm_squared();
-        let fits = points.iter().zip(radii).map(square).fold(f64::INFINITY, f64::min).sqrt();
-        if fits > *told { fits.min(wall(point)).max(*told) / told } else { fits / told }
+        points.iter().zip(radii).map(square).fold(f64::INFINITY, f64::min).sqrt()
     };
-    points.iter().zip(told).map(one).collect()
+    points.iter().map(one).collect()
+}
+
+/// At each point the greatest of some values within a radius; 0 where there is none. Those values are of `places`.
+fn around(points: &[Point3<f64>], radii: &[f64], places: &[usize], value: impl Fn(usize) -> f64) -> Vec<f64> {
+    let values: Vec<(usize, f64)> = places.iter().map(|&place| (place, value(place))).collect();
+    let one = |i: usize| {
+        let is_near = |&&(place, _): &&(usize, f64)| {
+            (points[place] - points[i]).norm() <= AROUND * radii[i].max(radii[place])
+        };
+        values.iter().filter(is_near).map(|&(_, value)| value).fold(0.0, f64::max)
+    };
+    (0..points.len()).map(one).collect()
 }
 
 /// Values at all of `count` places from those at a few: between two by the number of the place, beyond the last as that.
@@ -133,9 +157,12 @@ mod tests {
     #[test]
     fn a_sphere_is_no_larger_than_a_throat_beside_it_lets_it_be() {
         let points = [0.0, 3.0, 4.0].map(|z| Point3::new(0.0, 0.0, z));
-        let ratios = spheres(&points, &[5.0, 4.0, 1.0], &[5.0, 5.0, 1.0], |_| f64::INFINITY);
-        assert_eq!(ratios, [17.0_f64.sqrt() / 5.0, 2.0_f64.sqrt() / 5.0, 1.0]);
-        let at_a_dome = spheres(&points[..1], &[5.0], &[2.0], |_| 3.0);
-        assert_eq!(at_a_dome, [1.5], "wider than told, but no wider than the wall");
+        assert_eq!(spheres(&points, &[5.0, 4.0, 1.0]), [17.0_f64.sqrt(), 2.0_f64.sqrt(), 1.0]);
+    }
+
+    #[test]
+    fn the_worst_that_is_seen_counts_within_a_radius_of_it() {
+        let points = [0.0, 0.9, 2.0, 5.0].map(|z| Point3::new(0.0, 0.0, z));
+        assert_eq!(around(&points, &[1.0; 4], &[1, 2], |place| place as f64), [1.0, 1.0, 2.0, 0.0]);
     }
 }

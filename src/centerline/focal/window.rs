@@ -8,7 +8,7 @@ use crate::centerline::component::ComponentGraph;
 use crate::centerline::graph::Branch;
 use crate::centerline::own_sections::{Plane, tangent};
 
-/// The most points in a stretch.
+/// The most points in a stretch, where the line does not come with half as many.
 const MOST: usize = 256;
 /// On how much of a stretch's ends what is told anew fades into what was told before, in told radii.
 const FADE: f64 = 0.75;
@@ -59,7 +59,7 @@ pub fn with_points(graph: &ComponentGraph, stretches: &[Stretch]) -> (ComponentG
     let mut windows = Vec::new();
     for of_branch in stretches.chunk_by(|a, b| a.branch == b.branch) {
         let branch = &graph.branches[of_branch[0].branch];
-        let (ways, tangents) = (ways(branch), tangents(branch));
+        let (ways, tangents) = (branch.ways(), tangents(branch));
         let mut told = Branch::new(branch.from, branch.to, Vec::new(), Vec::new());
         let keep = |told: &mut Branch, places: Range<usize>| {
             told.points.extend_from_slice(&branch.points[places.clone()]);
@@ -69,8 +69,8 @@ pub fn with_points(graph: &ComponentGraph, stretches: &[Stretch]) -> (ComponentG
         for stretch in of_branch {
             let first = ways.partition_point(|&way| way <= stretch.from).max(1);
             keep(&mut told, next..first.max(next));
-            windows.push(fill(stretch, branch, (&ways, &tangents), &mut told));
-            next = ways.partition_point(|&way| way < stretch.to).min(ways.len() - 1);
+            next = ways.partition_point(|&way| way < stretch.to).min(ways.len() - 1).max(first);
+            windows.push(fill(stretch, branch, (&ways, &tangents), next - first, &mut told));
         }
         keep(&mut told, next..ways.len());
         told.equivalent_radii.clone_from(&told.radii);
@@ -79,11 +79,12 @@ pub fn with_points(graph: &ComponentGraph, stretches: &[Stretch]) -> (ComponentG
     (finer, windows)
 }
 
-/// Adds the points of a stretch of `branch` to what was `told` of it so far.
+/// Adds the points of a stretch of `branch` to what was `told` of it so far; no fewer than the `dropped` ones were.
 fn fill(
     stretch: &Stretch,
     branch: &Branch,
     (ways, tangents): (&[f64], &[Vector3<f64>]),
+    dropped: usize,
     told: &mut Branch,
 ) -> Window {
     let start = told.points.len();
@@ -91,7 +92,7 @@ fn fill(
         Window { branch: stretch.branch, places: start..start, tangents: Vec::new(), fade: Vec::new() };
     let length = stretch.to - stretch.from;
     // Of a step that is no number, two.
-    let count = ((length / stretch.step).ceil() as usize).clamp(2, MOST);
+    let count = ((length / stretch.step).ceil() as usize).clamp(2, MOST.max(2 * dropped));
     for i in 1..count {
         let way = stretch.from + length * i as f64 / count as f64;
         let after = ways.partition_point(|&other| other < way).clamp(1, ways.len() - 1);
@@ -110,17 +111,6 @@ fn fill(
     }
     window.places.end = told.points.len();
     window
-}
-
-/// The way along a branch to each of its points.
-pub fn ways(branch: &Branch) -> Vec<f64> {
-    let mut way = 0.0;
-    let steps = branch.points.windows(2).map(|pair| (pair[1] - pair[0]).norm());
-    let rest = steps.map(|step| {
-        way += step;
-        way
-    });
-    std::iter::once(0.0).chain(rest).collect()
 }
 
 /// Unit direction of a branch at each of its points; nothing where it has none.
