@@ -171,6 +171,7 @@ fn finished(
     {
         line = line.told_anew(focal, grid)?;
     }
+    control.cancel.check()?;
     let TracedLine { graph, tree, sections } = &line;
     let (measured, warnings) =
         Measured::of(index, Line { surface: grid.surface(), grid, graph, tree, sections });
