@@ -74,8 +74,8 @@ impl Profile {
         points.iter_mut().zip(&self.aside).for_each(|(point, aside)| *point += aside);
     }
 
-    /// A radius that shrinks stays as large as the wall is far, whose sphere fits for sure; one that grows stays off the wall between
-    /// and beyond the sections, as a dome is, which has none.
+    /// No sphere reaches past the wall between and beyond the sections, where that is aslant or a dome; one that shrinks stays as large
+    /// as the wall is far, for that fits for sure.
     pub fn set_radii(
         &self,
         window: &Window,
@@ -91,7 +91,8 @@ impl Profile {
             }
             let wall = grid.wall_distance(&branch.points[place]);
             let past = noise.min(PAST_WALL) * wall;
-            let fits = if sphere > told { sphere.min(past).max(told) } else { sphere.max(wall.min(told)) };
+            let least = if sphere > told { told } else { wall.min(told) };
+            let fits = sphere.min(past).max(least);
             branch.radii[place] = told * (fits / told).powf(self.shares[i]);
         }
     }
