@@ -64,6 +64,8 @@ async fn a_file_that_is_lost_takes_no_target_away_and_gives_nothing_up() {
     let job = service.accepted("", meshes::small()).await;
     service.ended(&job).await;
     receiver.messages(2).await;
+    // That it came is stored; otherwise it would come again.
+    metric(&service, "rosaline_webhooks{state=\"waiting\"} 1").await;
     // Before it starts: nothing is sent, and nothing is given up.
     let service = service.restart(&slow);
     logged(&service, "nothing is sent until the file is back", 1).await;
