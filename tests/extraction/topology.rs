@@ -1,8 +1,11 @@
 //! Phantoms whose line was told with a wrong or doubled branch once.
 
+use nalgebra::Point3;
+use rosaline::mesh::TriangleMesh;
 use rosaline::phantom::{Kind, Settings, generate};
 
 use crate::lines::{ends_and_junctions, line_of, parts_and_loops};
+use crate::surfaces::{from_segment, implicit};
 
 /// Ends, joints, parts and loops are those of the known line, and the line is thin and without `not-thin`.
 fn check(kind: Kind, seed: u64, settings: &Settings) {
@@ -28,4 +31,56 @@ fn joints_that_the_fit_brings_together_are_one() {
 #[test]
 fn a_sac_that_the_front_along_its_vessel_climbs_is_kept() {
     check(Kind::Aneurysm, 304, &Settings { noise: 0.3, ..Settings::of(Kind::Aneurysm) });
+}
+
+/// A vessel of radius 2 along x, and legs of such radii on it, from places along x to their tips' middles; closed.
+fn with_legs(legs: &[(f64, Point3<f64>, f64)], shift: f64) -> TriangleMesh {
+    let field = |point: &Point3<f64>| {
+        let vessel = from_segment(point, Point3::new(-16.0, 0.0, 0.0), Point3::new(16.0, 0.0, 0.0)) - 2.0;
+        let away = |&(place, tip, radius): &(f64, Point3<f64>, f64)| {
+            from_segment(point, Point3::new(place, 0.0, 0.0), tip) - radius
+        };
+        legs.iter().map(away).fold(vessel, f64::min)
+    };
+    let [low, high] = [[-19.1, -9.1, -9.1], [19.0, 9.0, 9.0]];
+    implicit(low.map(|border| border - shift), high, 0.5, field)
+}
+
+/// There is an end within 0.2 radii of each leg's pole, and of both poles of the vessel; no other, and no warning.
+fn has_its_legs(legs: &[(f64, Point3<f64>, f64)], shift: f64) {
+    let found = line_of(&with_legs(legs, shift));
+    let (ends, _) = ends_and_junctions(&found.centerline);
+    assert_eq!((ends, parts_and_loops(&found.centerline)), (legs.len() + 2, (1, 0)), "{legs:?} {shift}");
+    let pole = |&(place, tip, radius): &(f64, Point3<f64>, f64)| {
+        tip + (tip - Point3::new(place, 0.0, 0.0)).normalize() * radius
+    };
+    let poles = legs.iter().map(pole).chain([-18.0, 18.0].map(|x| Point3::new(x, 0.0, 0.0)));
+    for pole in poles {
+        let away = found.centerline.nodes.iter().map(|node| (node.position - pole).norm());
+        assert!(away.fold(f64::INFINITY, f64::min) < 0.4, "no end near {pole} of {legs:?}, {shift}");
+    }
+    assert!(found.warnings.is_empty(), "{legs:?} {shift}: {:?}", found.warnings);
+}
+
+/// A front along the vessel leaves no more of each than its far corner: by how the voxels fell they were missing, or a
+/// second branch ran down the vessel.
+#[test]
+fn a_short_closed_leg_as_wide_as_its_vessel_is_a_branch() {
+    for shift in [0.0, 0.13, 0.29] {
+        has_its_legs(&[(0.0, Point3::new(0.0, 0.0, 4.6), 2.0)], shift);
+        has_its_legs(&[(0.0, Point3::new(0.0, 0.0, 6.0), 2.0)], shift);
+        has_its_legs(&[(0.0, Point3::new(3.0, 0.0, 5.2), 2.0)], shift);
+    }
+}
+
+#[test]
+fn several_short_closed_legs_are_branches_each() {
+    let legs = [
+        (-8.0, Point3::new(-8.0, 0.0, 5.6), 2.0),
+        (0.0, Point3::new(0.0, 5.4, 0.0), 1.6),
+        (8.0, Point3::new(8.0, 0.0, -5.6), 2.0),
+    ];
+    for shift in [0.0, 0.13, 0.29] {
+        has_its_legs(&legs, shift);
+    }
 }

@@ -7,6 +7,8 @@ use std::collections::BinaryHeap;
 use nalgebra::Point3;
 use rayon::prelude::*;
 
+use rustc_hash::{FxHashMap, FxHashSet};
+
 use crate::mesh::corner_table::CornerTable;
 use crate::mesh::preparation::Opening;
 
@@ -14,6 +16,9 @@ use crate::centerline::{CancelToken, ExtractError};
 
 /// How far an opening's centre is raised over its rim, in radii of the opening.
 pub const RISE: f64 = 4.0;
+
+/// What an edge within a cap is shortened to.
+const SHRUNK: f64 = 1e-3;
 
 /// Distances from a source, and the order in which the vertices were reached.
 #[derive(Debug, Clone, Default)]
@@ -68,7 +73,7 @@ impl EdgeGraph {
             if region[v] {
                 for link in &mut self.links[self.start[v] as usize..self.start[v + 1] as usize] {
                     if region[link.0 as usize] {
-                        link.1 *= 1e-3;
+                        link.1 *= SHRUNK as f32;
                     }
                 }
             }
@@ -165,4 +170,56 @@ pub fn geodesic_told(
     }
     told(&order[order.len() / RUN * RUN..]);
     Ok(Geodesic { distance, order })
+}
+
+/// Distances from a cap, of the vertices near it.
+#[derive(Debug, Clone, Default)]
+pub struct Near {
+    distance: FxHashMap<u32, f64>,
+    order: Vec<u32>,
+}
+
+impl Near {
+    /// `None` of a vertex that was not reached.
+    pub fn distance(&self, v: u32) -> Option<f64> {
+        self.distance.get(&v).copied()
+    }
+
+    /// The vertices reached with their distances, the nearest first.
+    pub fn reached(&self) -> impl Iterator<Item = (u32, f64)> + '_ {
+        self.order.iter().filter_map(|&v| Some((v, self.distance(v)?)))
+    }
+}
+
+/// Dijkstra's algorithm from the tip of a cap whose own edges are short, as [`EdgeGraph::shrink`] makes them, as far as
+/// `onward` says of a vertex and its distance; those where it says no are reached and not gone on from.
+/// O(reached x log reached).
+pub fn geodesic_near(
+    graph: &EdgeGraph,
+    (tip, cap): (u32, &FxHashSet<u32>),
+    onward: impl Fn(u32, f64) -> bool,
+) -> Near {
+    let mut near = Near::default();
+    let mut heap = BinaryHeap::from([Reverse((0_u64, tip))]);
+    near.distance.insert(tip, 0.0);
+    while let Some(Reverse((bits, v))) = heap.pop() {
+        let reached = f64::from_bits(bits);
+        if near.distance(v).is_some_and(|known| reached > known) {
+            continue;
+        }
+        near.order.push(v);
+        if !onward(v, reached) {
+            continue;
+        }
+        for &(u, length) in graph.neighbours(v) {
+            let short = cap.contains(&v) && cap.contains(&u);
+            let through = reached + f64::from(length) * if short { SHRUNK } else { 1.0 };
+            let known = near.distance.entry(u).or_insert(f64::INFINITY);
+            if through < *known {
+                *known = through;
+                heap.push(Reverse((through.to_bits(), u)));
+            }
+        }
+    }
+    near
 }

@@ -8,8 +8,10 @@ use crate::mesh::preparation::Opening;
 
 use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
 
-use super::Pruning;
 use super::geodesic::RISE;
+use super::reeb::ReebArc;
+use super::stumps::EDGES;
+use super::{Pruning, ShortTip};
 
 impl Pruning<'_> {
     /// How far the function rises along an arc.
@@ -102,18 +104,56 @@ impl Pruning<'_> {
     /// A front climbs a wide sac while it passes it along the vessel, so that the leaf begins in the
     /// middle of the sac: its reach says little of its height, and its rise too.
     fn over_vessel(&self, leaf: &[u32], base: u32, tip: u32, radius: f64) -> Option<(f64, f64)> {
-        let beside = || self.alive_at(base).filter(|arc| !leaf.contains(arc));
-        let length = |&arc: &u32| self.graph.arcs[arc as usize].base_length;
-        let widest = |upward: bool| {
-            let way = beside().filter(move |&arc| (self.graph.arcs[arc as usize].lower == base) == upward);
-            way.max_by(|a, b| length(a).total_cmp(&length(b)))
+        let narrowest = |upward: bool| {
+            let rings = self.rings_beyond(base, self.widest_beside(leaf, base, upward)?, upward);
+            rings.into_iter().min_by(|a, b| a.length.total_cmp(&b.length))
         };
-        let rings: Vec<LevelSet> =
-            [false, true].iter().filter_map(|&up| self.narrowest(base, widest(up)?, up)).collect();
+        let rings: Vec<LevelSet> = [false, true].iter().filter_map(|&upward| narrowest(upward)).collect();
         let (a, b) = (rings.first()?, rings.last()?);
         let vessel = a.area_radius().max(b.area_radius());
         let over = from_segment(&self.position(tip), &a.centroid, &b.centroid) - vessel;
         Some((over, radius.min(vessel)))
+    }
+
+    /// The widest arc that comes up to a leaf's base, or goes up from it, beside the leaf.
+    fn widest_beside(&self, leaf: &[u32], base: u32, upward: bool) -> Option<u32> {
+        let beside = self.alive_at(base).filter(|arc| !leaf.contains(arc));
+        let way = beside.filter(|&arc| (self.graph.arcs[arc as usize].lower == base) == upward);
+        let length = |&arc: &u32| self.graph.arcs[arc as usize].base_length;
+        way.max_by(|a, b| length(a).total_cmp(&length(b)))
+    }
+
+    /// Radius of the vessel that passes a leaf's base: of its wider side, and of the narrower where that goes on as a
+    /// branch so thin that no front runs along both. Where the leaf `stays` it may be a sac, which the vessel's level sets
+    /// climb as they pass: there the narrowest counts.
+    fn radius_beside(&self, leaf: &[u32], base: u32, stays: bool) -> Option<f64> {
+        /// Least radius of the narrower side against the wider.
+        const THIN: f64 = 0.5;
+        let side = |upward: bool| {
+            let rings = self.rings_beyond(base, self.widest_beside(leaf, base, upward)?, upward);
+            let mut radii: Vec<f64> = rings.iter().map(LevelSet::area_radius).collect();
+            radii.sort_unstable_by(f64::total_cmp);
+            radii.get(if stays { 0 } else { radii.len() / 2 }).copied()
+        };
+        let sides = [side(false), side(true)];
+        let [narrow, wide] = [f64::min, f64::max].map(|of| sides.into_iter().flatten().reduce(of));
+        if narrow? < THIN * wide? { narrow } else { wide }
+    }
+
+    /// What is known of a leaf that rises by `height`, the rise of a cap's middle left out.
+    pub fn short_tip(
+        &self,
+        arcs: &[u32],
+        base: u32,
+        leaf: u32,
+        (height, stays): (f64, bool),
+    ) -> Option<ShortTip> {
+        let &first = arcs.last()?;
+        let ReebArc { base_length, base_edges: edges, .. } = self.graph.arcs[first as usize];
+        let ring = self.rings(first).next()?;
+        // Of what few edges show nobody asks.
+        let beside = if edges < EDGES { None } else { self.radius_beside(arcs, base, stays) };
+        Some(ShortTip { leaf, base: ring.centroid, radius: base_length / TAU, height, beside })
     }
 
     /// The node, at or within `near` below `base`, where two fronts met, and the two arcs below it; `leaf` is not looked
@@ -142,11 +182,6 @@ impl Pruning<'_> {
         let tip = self.position(tip);
         let away = line.windows(2).map(|pair| from_segment(&tip, &pair[0].centroid, &pair[1].centroid));
         away.fold(f64::INFINITY, f64::min) - radius
-    }
-
-    /// The narrowest of a few level sets beyond `base` along `arc` and what goes on from it.
-    fn narrowest(&self, base: u32, arc: u32, upward: bool) -> Option<LevelSet> {
-        self.rings_beyond(base, arc, upward).into_iter().min_by(|a, b| a.length.total_cmp(&b.length))
     }
 
     /// A few level sets beyond `base` along `arc` and what goes on from it, the nearest first.

@@ -5,13 +5,16 @@
 //! vessel that it stands on, whichever is smaller: a blunt bump, a stair of a voxel surface or noise
 //! is no branch, a sac is one. Handles are never touched: loops stay.
 
+mod counter_fronts;
 pub mod critical_points;
+mod front_lengths;
 pub mod geodesic;
 mod height;
 pub mod picks;
 pub mod reeb;
 pub mod root;
 pub mod skeleton;
+mod stumps;
 pub mod xie_beni;
 
 use std::cmp::Reverse;
@@ -46,7 +49,10 @@ pub struct Branching {
     pub chains: Vec<Chain>,
     /// Leaves that were removed although they rise a good part of their base's radius: a front that
     /// passed them aslant may have hidden an end.
-    pub doubtful: Vec<DoubtfulTip>,
+    pub doubtful: Vec<ShortTip>,
+    /// Leaves that stay and rise only a few radii: of a wide branch a front that came aslant may have left no more than
+    /// a corner.
+    pub low: Vec<ShortTip>,
     /// Reeb arcs of the ends that were excluded.
     pub excluded: Vec<u32>,
     /// Numbers of the excluded points that no end is near to.
@@ -105,14 +111,18 @@ impl Branching {
     }
 }
 
-/// A leaf that was removed as too low to be a branch.
+/// A leaf that rises no more than a few radii.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct DoubtfulTip {
+pub struct ShortTip {
     /// The leaf's Reeb node.
     pub leaf: u32,
     /// Centre and radius of the level set at its base.
     pub base: Point3<f64>,
     pub radius: f64,
+    /// Radius of the vessel that passes its base; `None` where nothing shows it or too few edges the base.
+    pub beside: Option<f64>,
+    /// Its rise over its base, that of a flat cap's middle left out.
+    pub height: f64,
 }
 
 /// Which Reeb arcs remain after the leaves that are no tips were removed.
@@ -120,7 +130,7 @@ struct Pruning<'a> {
     surface: &'a Surface,
     graph: &'a ReebGraph,
     alive: Vec<bool>,
-    doubtful: Vec<DoubtfulTip>,
+    doubtful: Vec<ShortTip>,
     /// Arcs at each node, dead ones included.
     at_node: Vec<Vec<u32>>,
 }
@@ -148,7 +158,8 @@ pub fn chains(
         pruning.prune_root(choice.tip_height);
     }
     let (excluded, idle) = pruning.exclude(choice.excluded);
-    Ok(Branching { chains: pruning.chains(), doubtful: pruning.doubtful, excluded, idle, raised: Vec::new() })
+    let (chains, low) = (pruning.chains(), pruning.low());
+    Ok(Branching { chains, low, doubtful: pruning.doubtful, excluded, idle, raised: Vec::new() })
 }
 
 impl Pruning<'_> {
@@ -207,23 +218,36 @@ impl Pruning<'_> {
             }
             let kept = choice.kept.contains(&self.graph.nodes[leaf as usize].vertex);
             if !kept && !self.stands_out(&arcs, base, leaf, height, choice.tip_height) {
+                let doubtful = self.doubtful_tip(&arcs, base, leaf, height - self.rise_of_cap(leaf));
+                self.doubtful.extend(doubtful);
                 arcs.iter().for_each(|&arc| self.alive[arc as usize] = false);
-                self.doubt(&arcs, leaf, height - self.rise_of_cap(leaf));
             }
         }
         Ok(())
     }
 
-    /// Notes a removed leaf that is high enough to be looked at from another root.
-    fn doubt(&mut self, arcs: &[u32], leaf: u32, height: f64) {
+    /// A leaf that is no tip, where it is high enough to be looked at once more.
+    fn doubtful_tip(&self, arcs: &[u32], base: u32, leaf: u32, height: f64) -> Option<ShortTip> {
         /// Least height, in radii of the base.
         const DOUBT: f64 = 0.4;
-        let Some(&base) = arcs.last() else { return };
-        let radius = self.graph.arcs[base as usize].base_length / std::f64::consts::TAU;
-        let ring = if height > DOUBT * radius { self.rings(base).next() } else { None };
-        if let Some(ring) = ring {
-            self.doubtful.push(DoubtfulTip { leaf, base: ring.centroid, radius });
-        }
+        let radius = self.graph.arcs[*arcs.last()? as usize].base_length / std::f64::consts::TAU;
+        if height > DOUBT * radius { self.short_tip(arcs, base, leaf, (height, false)) } else { None }
+    }
+
+    /// The leaves that stay although they are low.
+    fn low(&self) -> Vec<ShortTip> {
+        /// Greatest height, in radii of the base.
+        const LOW: f64 = 3.0;
+        let nodes = 0..self.graph.nodes.len() as u32;
+        let leaves = nodes.filter(|&node| node != ROOT && self.degree(node) == 1);
+        let low = leaves.filter_map(|leaf| {
+            let (arcs, base) = self.leaf_chain(leaf)?;
+            let height: f64 = arcs.iter().map(|&arc| self.span(arc)).sum::<f64>() - self.rise_of_cap(leaf);
+            let first = &self.graph.arcs[*arcs.last()? as usize];
+            let is_low = self.degree(base) > 2 && height < LOW * first.base_length / std::f64::consts::TAU;
+            if is_low { self.short_tip(&arcs, base, leaf, (height, true)) } else { None }
+        });
+        low.collect()
     }
 
     /// On a surface without ends the root is no tip either: its leaf goes by the same measure.

@@ -77,8 +77,21 @@ pub fn reeb_graph(
         sweep
     };
     let (geodesic, sweep) = rayon::join(measure, follow);
-    let Geodesic { distance, order } = geodesic?;
+    let geodesic = geodesic?;
     cancel.check()?;
+    Ok(measured(surface, geodesic, sweep))
+}
+
+/// The Reeb graph of any function that has its only minimum at the first vertex of its order. O(n).
+pub fn reeb_graph_of(surface: &Surface, function: Geodesic) -> ReebGraph {
+    let mut sweep = Sweep::new(&surface.corners);
+    function.order.iter().for_each(|&v| sweep.pass(v));
+    measured(surface, function, sweep)
+}
+
+/// What a sweep has found, with levels and lengths.
+fn measured(surface: &Surface, function: Geodesic, sweep: Sweep<'_>) -> ReebGraph {
+    let Geodesic { distance, order } = function;
     let Sweep { mut nodes, mut arcs, rank, .. } = sweep;
     for node in &mut nodes {
         node.level = distance[node.vertex as usize];
@@ -88,7 +101,7 @@ pub fn reeb_graph(
         arc.base_length = cycle_length(vertices, corners, (&rank, &distance), arc.start);
     };
     arcs.par_iter_mut().for_each(measured);
-    Ok(ReebGraph { nodes, arcs, rank, function: distance, order })
+    ReebGraph { nodes, arcs, rank, function: distance, order }
 }
 
 /// Length of the level set component just above the vertex that the upward half-edge `start` leaves.

@@ -10,7 +10,7 @@ use crate::mesh::preparation::Surface;
 
 use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
 use crate::centerline::tips::reeb::ReebGraph;
-use crate::centerline::tips::{Branching, Chain, DoubtfulTip};
+use crate::centerline::tips::{Branching, Chain, ShortTip};
 
 /// Where to take distances from.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,13 +31,13 @@ pub enum Among {
 }
 
 /// An end of a chain, seen from the tip inward.
-struct End {
-    vertex: u32,
-    radius: f64,
+pub struct End {
+    pub vertex: u32,
+    pub radius: f64,
     /// Unit direction out of the lumen.
-    outward: Vector3<f64>,
+    pub outward: Vector3<f64>,
     /// Shorter than it is wide: a sac, a stump, or an end that a front has passed aslant.
-    short: bool,
+    pub short: bool,
 }
 
 /// The ends that distances may be taken from, the best first: wide and long ones before short ones, of
@@ -50,7 +50,7 @@ pub fn roots(surface: &Surface, graph: &ReebGraph, branching: &Branching, among:
     /// Each costs a geodesic and a Reeb graph.
     const MOST: usize = 3;
     let mut ends = chain_ends(surface, graph, &branching.chains);
-    ends.extend(branching.doubtful.iter().filter_map(|tip| doubtful_end(surface, graph, tip)));
+    ends.extend(branching.doubtful.iter().filter_map(|tip| short_end(surface, graph, tip)));
     if among == Among::LongEnds && ends.iter().any(|end| !end.short) {
         ends.retain(|end| !end.short);
     }
@@ -94,8 +94,8 @@ fn chain_ends(surface: &Surface, graph: &ReebGraph, chains: &[Chain]) -> Vec<End
     free.filter_map(|(chain, _, at_start)| end_of(surface, graph, chain, at_start)).collect()
 }
 
-/// A removed leaf as an end.
-fn doubtful_end(surface: &Surface, graph: &ReebGraph, tip: &DoubtfulTip) -> Option<End> {
+/// A short leaf as an end.
+pub fn short_end(surface: &Surface, graph: &ReebGraph, tip: &ShortTip) -> Option<End> {
     let vertex = graph.nodes[tip.leaf as usize].vertex;
     let outward = (surface.mesh.vertices[vertex as usize] - tip.base).try_normalize(0.0)?;
     let outward = along_vessel(surface, vertex, tip.radius, outward);
@@ -209,19 +209,24 @@ fn rings_inward(
     rings
 }
 
+/// Marks the vertices of [`cap_of`].
+fn cap_around(surface: &Surface, end: &End) -> Vec<bool> {
+    let mut cap = vec![false; surface.mesh.vertices.len()];
+    cap_of(surface, end).into_iter().for_each(|v| cap[v as usize] = true);
+    cap
+}
+
 /// The vertices of the end: what lies around its cap down to half a radius below the tip, and
 /// triangles that face outward beside it, connected to its vertex.
 ///
 /// A front that starts there leaves it as one ring square to the vessel, however rough the cap is.
-fn cap_around(surface: &Surface, end: &End) -> Vec<bool> {
+pub fn cap_of(surface: &Surface, end: &End) -> FxHashSet<u32> {
     /// Cosine of the widest angle between a cap's normal and the vessel's direction.
     const FACING: f64 = 0.7;
     /// Depth of the end, and how far from the tip it may reach, in radii.
     const DEPTH: f64 = 0.5;
     const NEAR: f64 = 2.5;
     let tip = surface.mesh.vertices[end.vertex as usize];
-    let mut cap = vec![false; surface.mesh.vertices.len()];
-    cap[end.vertex as usize] = true;
     let belongs = |t: u32| {
         let [a, b, c] = surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize]);
         let normal = (b - a).cross(&(c - a));
@@ -229,8 +234,7 @@ fn cap_around(surface: &Surface, end: &End) -> Vec<bool> {
         let high = [a, b, c].iter().all(|p| (tip - p).dot(&end.outward) < DEPTH * end.radius);
         near && (high || normal.dot(&end.outward) > FACING * normal.norm())
     };
-    for t in connected(surface, end.vertex, belongs) {
-        surface.mesh.triangles[t as usize].iter().for_each(|&v| cap[v as usize] = true);
-    }
-    cap
+    let triangles = connected(surface, end.vertex, belongs).into_iter();
+    let corners = triangles.flat_map(|t| surface.mesh.triangles[t as usize]);
+    corners.chain([end.vertex]).collect()
 }

@@ -4,12 +4,14 @@ use rayon::prelude::*;
 
 use crate::mesh::preparation::Surface;
 
+use super::counter_fronts::countered;
 use super::geodesic::{EdgeGraph, geodesic};
 use super::picks::{Kept, Picks, keep, root_near};
-use super::reeb::{ReebGraph, reeb_graph};
+use super::reeb::{ReebGraph, reeb_graph, reeb_graph_of};
 use super::root::{Among, Root, roots};
+use super::stumps::{Stump, stumps};
 use super::{Branching, Choice, ROOT, chains, farthest};
-use crate::centerline::{Control, ExtractError, Stage};
+use crate::centerline::{CancelToken, Control, ExtractError, Stage};
 
 /// A tip that stands so many times as high as it must is an end from wherever it was seen.
 const HIGH: f64 = 1.5;
@@ -48,16 +50,47 @@ pub fn skeleton(
     control.report(Stage::Segmentation, 0.0)?;
     let first = View { graph, branching: first, edges, source };
     let best = seen_from_an_end(surface, &first, picks, among, &choice, control)?;
-    let View { graph, branching, mut edges, source } = best.unwrap_or(first);
+    let view = best.unwrap_or(first);
+    let (view, stumps) = match among {
+        Among::AllEnds => with_stumps(surface, view, &choice, cancel)?,
+        Among::LongEnds => (view, Vec::new()),
+    };
+    let View { graph, branching, mut edges, source } = view;
     if picks.include.is_empty() && picks.exclude.is_empty() {
         return Ok((graph, branching));
     }
-    let Kept { leaves, raised } = keep(surface, &graph, &branching, &picks.include);
+    let Kept { mut leaves, raised } = keep(surface, &graph, &branching, &picks.include);
+    leaves.extend(stumps.iter().map(|stump| stump.vertex));
     let choice = Choice { kept: &leaves, excluded: &picks.exclude, ..choice };
     edges.raise_vertices(&raised);
-    let graph = reeb_graph(surface, &edges, &[source], cancel)?;
+    let mut graph = reeb_graph(surface, &edges, &[source], cancel)?;
+    if !stumps.is_empty() {
+        graph = reeb_graph_of(surface, countered(&edges, (source, &graph.function), &stumps, cancel)?);
+    }
     let branching = chains(surface, &graph, &choice, cancel)?;
     Ok((graph, Branching { raised, ..branching }))
+}
+
+/// The view with the short wide branches that it hides, and these. They were judged from their own tips.
+fn with_stumps(
+    surface: &Surface,
+    view: View,
+    choice: &Choice<'_>,
+    cancel: &CancelToken,
+) -> Result<(View, Vec<Stump>), ExtractError> {
+    let seen = (&view.graph, &view.branching);
+    let stumps = stumps(surface, &view.edges, seen, choice.tip_height, cancel)?;
+    if stumps.is_empty() {
+        return Ok((view, stumps));
+    }
+    let function = countered(&view.edges, (view.source, &view.graph.function), &stumps, cancel)?;
+    let graph = reeb_graph_of(surface, function);
+    let kept: Vec<u32> = stumps.iter().map(|stump| stump.vertex).collect();
+    let branching = chains(surface, &graph, &Choice { kept: &kept, ..*choice }, cancel)?;
+    if branching.ends() < view.branching.ends() {
+        return Ok((view, Vec::new()));
+    }
+    Ok((View { graph, branching, ..view }, stumps))
 }
 
 /// What is seen from the end that distances are best taken from; `None` where that is no better than what was seen `first`.

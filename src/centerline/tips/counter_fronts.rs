@@ -1,0 +1,131 @@
+//! Fronts from the tips of short wide branches, that meet the one from the root.
+//!
+//! Where the front from the root hides a [`Stump`], the distance `d` from the stump's cap counts instead: the function
+//! is the larger of the root's distance and `C - d`, with `C` such that on all the stump the latter is. Its level sets
+//! are square to the stump, and its Reeb graph has as many loops as the surface, as that of any function.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use super::geodesic::{EdgeGraph, Geodesic, geodesic_near};
+use super::stumps::Stump;
+use crate::centerline::{CancelToken, ExtractError};
+
+/// The larger of the distance `from_root` and what each stump's front says, without hollows. O(n log n).
+///
+/// # Errors
+/// [`ExtractError::Cancelled`].
+pub fn countered(
+    edges: &EdgeGraph,
+    (source, from_root): (u32, &[f64]),
+    stumps: &[Stump],
+    cancel: &CancelToken,
+) -> Result<Geodesic, ExtractError> {
+    /// How far above its base, in radii, a stump's front meets the other at the latest: at the base it is no tube any
+    /// more.
+    const ABOVE: f64 = 0.5;
+    let mut function = from_root.to_vec();
+    for Stump { vertex, cap, base, radius } in stumps {
+        cancel.check()?;
+        let from_root = |v: u32| from_root[v as usize];
+        let tube = geodesic_near(edges, (*vertex, cap), |_, d| d < base - ABOVE * radius);
+        let meet = tube.reached().map(|(v, d)| from_root(v) + d).fold(0.0, f64::max);
+        // Along a way to the cap `d` falls by no less than the other distance rises: what lies past a meeting is lost.
+        let front = geodesic_near(edges, (*vertex, cap), |v, d| meet - d > from_root(v));
+        for (v, d) in front.reached() {
+            let value = &mut function[v as usize];
+            *value = value.max(meet - d);
+        }
+    }
+    flooded(edges, source, function, cancel)
+}
+
+/// A function whose hollows are filled to their lowest way out, so that its only minimum is the source, and the order
+/// in which it rises from there, each vertex after a neighbour. O(n log n).
+fn flooded(
+    edges: &EdgeGraph,
+    source: u32,
+    mut function: Vec<f64>,
+    cancel: &CancelToken,
+) -> Result<Geodesic, ExtractError> {
+    const RUN: usize = 8192;
+    let mut order = Vec::with_capacity(function.len());
+    let mut seen = vec![false; function.len()];
+    // Non-negative doubles sort like their bits; the vertex number breaks ties.
+    let mut heap = BinaryHeap::from([Reverse((function[source as usize].to_bits(), source))]);
+    seen[source as usize] = true;
+    while let Some(Reverse((bits, v))) = heap.pop() {
+        order.push(v);
+        if order.len().is_multiple_of(RUN) {
+            cancel.check()?;
+        }
+        for &(u, _) in edges.neighbours(v) {
+            if !std::mem::replace(&mut seen[u as usize], true) {
+                function[u as usize] = function[u as usize].max(f64::from_bits(bits));
+                heap.push(Reverse((function[u as usize].to_bits(), u)));
+            }
+        }
+    }
+    Ok(Geodesic { distance: function, order })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::centerline::shapes::open_tube;
+    use crate::centerline::test_surfaces::closed_surface;
+    use crate::centerline::tips::geodesic::geodesic;
+
+    /// The edges of a tube of radius 1, 20 long, and the distances from a vertex at its foot.
+    fn tube() -> (EdgeGraph, Vec<f64>) {
+        let surface = closed_surface(&open_tube(20.0, 41, 16));
+        let edges = EdgeGraph::new(&surface.mesh.vertices, &surface.corners);
+        let distance = geodesic(&edges, &[0], &CancelToken::new()).unwrap().distance;
+        (edges, distance)
+    }
+
+    #[test]
+    fn a_flooded_function_has_no_hollow_and_rises_in_its_order() {
+        let (edges, mut function) = tube();
+        // Hollows all over.
+        (1..function.len()).step_by(7).for_each(|v| function[v] *= 0.3);
+        let before = function.clone();
+        let Geodesic { distance, order } = flooded(&edges, 0, function, &CancelToken::new()).unwrap();
+        assert_eq!(order.len(), distance.len());
+        assert!(order.windows(2).all(|pair| distance[pair[0] as usize] <= distance[pair[1] as usize]));
+        assert!(distance.iter().zip(&before).all(|(after, before)| after >= before));
+        let mut passed = vec![false; order.len()];
+        for &v in &order {
+            assert!(
+                v == 0 || edges.neighbours(v).iter().any(|&(u, _)| passed[u as usize]),
+                "{v} is a hollow"
+            );
+            passed[v as usize] = true;
+        }
+    }
+
+    #[test]
+    fn without_stumps_the_root_s_distance_stays() {
+        let (edges, from_root) = tube();
+        let same = countered(&edges, (0, &from_root), &[], &CancelToken::new()).unwrap();
+        assert_eq!(same.distance, from_root);
+    }
+
+    #[test]
+    fn a_stump_s_front_counts_on_it_alone() {
+        let (edges, from_root) = tube();
+        let last = crate::centerline::tips::farthest(&from_root);
+        let cap = [last].into_iter().collect();
+        let stump = Stump { vertex: last, cap, base: 4.0, radius: 1.0 };
+        let met = countered(&edges, (0, &from_root), &[stump], &CancelToken::new()).unwrap();
+        let top = met.distance[last as usize];
+        let to_tip = geodesic(&edges, &[last], &CancelToken::new()).unwrap().distance;
+        for (v, &d) in to_tip.iter().enumerate() {
+            if d < 3.0 {
+                assert!((met.distance[v] - (top - d)).abs() < 1e-9, "{v} at {d}");
+            } else if d > 8.0 {
+                assert_eq!(met.distance[v], from_root[v], "{v} at {d}");
+            }
+        }
+    }
+}

@@ -1,0 +1,210 @@
+//! Short wide branches that a front from elsewhere hides.
+//!
+//! The front from the root comes to a branch as wide as its vessel aslant: it climbs the near side while it goes round
+//! the far one, and where both meet, a corner is all that is left of the branch. Seen from its own tip the branch is a
+//! tube up to its base, whichever way the root's front comes.
+
+use std::ops::Range;
+
+use nalgebra::{Matrix3, Vector3};
+use rustc_hash::FxHashSet;
+
+use crate::mesh::preparation::Surface;
+
+use super::front_lengths::{FrontLengths, Tube};
+use super::geodesic::{EdgeGraph, Near, geodesic_near};
+use super::reeb::ReebGraph;
+use super::root::{End, cap_of, short_end};
+use super::{Branching, ShortTip};
+use crate::centerline::{CancelToken, ExtractError};
+
+/// Radii that such a branch may have, in those of the vessel beside it: a thinner one no front hides, a wider one is a
+/// sac.
+const WIDTHS: Range<f64> = 0.4..1.3;
+/// Fewest edges that a leaf's base crosses: fewer are a stair or noise.
+pub const EDGES: u32 = 12;
+/// How far below a tip the tube begins, in radii: what [`cap_of`] takes.
+const CAP: f64 = 0.5;
+
+/// A short branch as its own tip shows it.
+#[derive(Debug, Clone)]
+pub struct Stump {
+    /// Its tip.
+    pub vertex: u32,
+    /// The vertices of its cap.
+    pub cap: FxHashSet<u32>,
+    /// Distance from the cap up to which it is a tube, in the input's unit.
+    pub base: f64,
+    /// Radius of that tube.
+    pub radius: f64,
+}
+
+/// The short branches that are tubes seen from their tips and that the front from the root shows as less: those that
+/// it left out, and those of which it shows only a part. O(wall within some radii of each leaf that is looked at).
+///
+/// # Errors
+/// [`ExtractError::Cancelled`].
+pub fn stumps(
+    surface: &Surface,
+    edges: &EdgeGraph,
+    (graph, branching): (&ReebGraph, &Branching),
+    tip_height: f64,
+    cancel: &CancelToken,
+) -> Result<Vec<Stump>, ExtractError> {
+    let is_end = |node: &u32| branching.ends_at(*node);
+    let ends: Vec<u32> =
+        branching.nodes().filter(is_end).map(|node| graph.nodes[node as usize].vertex).collect();
+    let kept = branching.low.iter().map(|tip| (tip, true));
+    let mut found: Vec<Stump> = Vec::new();
+    for (tip, stays) in kept.chain(branching.doubtful.iter().map(|tip| (tip, false))) {
+        cancel.check()?;
+        let Some(view) = best_view(surface, edges, graph, tip) else { continue };
+        // Two leaves of one branch are one.
+        let fresh = found.iter().all(|other| other.cap.is_disjoint(&view.stump.cap));
+        let own = graph.nodes[tip.leaf as usize].vertex;
+        if fresh
+            && !view.has_end_but(own, &ends)
+            && view.is_one_ring(edges)
+            && view.is_hidden(tip, stays, tip_height)
+        {
+            found.push(view.stump);
+        }
+    }
+    Ok(found)
+}
+
+/// What a front from a tip shows.
+struct TipView {
+    stump: Stump,
+    near: Near,
+}
+
+/// What the front shows that shows the longest tube, for it is square to it. The root's front leaves the far corner of
+/// an end for the last, so each tube that is found says where the end rather is.
+fn best_view(surface: &Surface, edges: &EdgeGraph, graph: &ReebGraph, tip: &ShortTip) -> Option<TipView> {
+    /// How often at most the end is put straight.
+    const STRAIGHTENED: usize = 4;
+    let beside = tip.beside.filter(|beside| tip.radius >= 0.5 * WIDTHS.start * beside)?;
+    let vertex = graph.nodes[tip.leaf as usize].vertex;
+    let away = (surface.mesh.vertices[vertex as usize] - tip.base).try_normalize(0.0)?;
+    let normal = surface.corners.star(vertex).map(|h| surface.mesh.area_vector(h / 3)).sum::<Vector3<f64>>();
+    let normal = normal.try_normalize(0.0)?;
+    let along = short_end(surface, graph, tip)?.outward;
+    let view = |(vertex, radius, outward)| {
+        TipView::from(surface, edges, &End { vertex, radius, outward, short: true }, beside)
+    };
+    let first = [Some(away), Some(along), Some(normal), (away + normal).try_normalize(0.0)];
+    let views = first.into_iter().flatten().filter_map(|outward| view((vertex, tip.radius, outward)));
+    let mut best = longest(views)?;
+    for _ in 0..STRAIGHTENED {
+        let looks = best.directions(surface).into_iter();
+        let views =
+            looks.filter_map(|outward| view((best.highest(surface, &outward)?, best.stump.radius, outward)));
+        match longest(views).filter(|next| next.stump.base > best.stump.base) {
+            Some(next) => best = next,
+            None => break,
+        }
+    }
+    Some(best)
+}
+
+fn longest(views: impl Iterator<Item = TipView>) -> Option<TipView> {
+    views.max_by(|a, b| a.stump.base.total_cmp(&b.stump.base))
+}
+
+impl TipView {
+    /// `None` where the front shows no tube, or one that is no stump's beside a vessel of such a radius.
+    fn from(surface: &Surface, edges: &EdgeGraph, end: &End, beside: f64) -> Option<Self> {
+        /// How far it is looked at, in radii of the vessel.
+        const FAR: f64 = 8.0;
+        let cap = cap_of(surface, end);
+        let near = geodesic_near(edges, (end.vertex, &cap), |_, d| d < FAR * beside);
+        let Tube { base, mouth, radius } = FrontLengths::of(surface, &near, beside)?.tube(beside)?;
+        let stump = Stump { vertex: end.vertex, cap, base, radius };
+        WIDTHS.contains(&(mouth / beside)).then_some(Self { stump, near })
+    }
+
+    /// Vertices whose distance from the cap lies in a range, in the order of that.
+    fn between(&self, range: Range<f64>) -> impl Iterator<Item = u32> + '_ {
+        self.near.reached().filter(move |(_, d)| range.contains(d)).map(|(v, _)| v)
+    }
+
+    /// Where the tube may point: from its middle to its cap, and along the direction that its normals leave free.
+    fn directions(&self, surface: &Surface) -> Vec<Vector3<f64>> {
+        let Stump { cap, base, radius, .. } = &self.stump;
+        let mean = |of: &mut dyn Iterator<Item = u32>| {
+            let sum = |(count, sum): (usize, Vector3<f64>), v: u32| {
+                (count + 1, sum + surface.mesh.vertices[v as usize].coords)
+            };
+            let (count, sum) = of.fold((0, Vector3::zeros()), sum);
+            (count > 0).then(|| sum / count as f64)
+        };
+        let top = mean(&mut self.between(0.0..f64::INFINITY).filter(|v| cap.contains(v)));
+        let middle = mean(&mut self.between(0.3 * base..0.8 * base));
+        let Some(away) = top.zip(middle).and_then(|(top, middle)| (top - middle).try_normalize(0.0)) else {
+            return Vec::new();
+        };
+        let turned = |axis: Vector3<f64>| if axis.dot(&away) < 0.0 { -axis } else { axis };
+        let axis = self.free_direction(surface, base.max(*radius)).map(turned);
+        std::iter::once(away).chain(axis).collect()
+    }
+
+    /// The direction that the normals of the wall up to a distance from the cap leave free (eq. 9); `None` where they
+    /// leave none.
+    fn free_direction(&self, surface: &Surface, far: f64) -> Option<Vector3<f64>> {
+        /// Most of the normals that may lie along it, against across it.
+        const FREE: f64 = 0.5;
+        let mut covariance = Matrix3::zeros();
+        for h in self.between(0.05 * far..far).flat_map(|v| surface.corners.star(v)) {
+            let area = surface.mesh.area_vector(h / 3);
+            covariance += area * area.transpose() / area.norm().max(f64::MIN_POSITIVE);
+        }
+        let eigen = covariance.symmetric_eigen();
+        let least = eigen.eigenvalues.imin();
+        let others = (0..3).filter(|&i| i != least).map(|i| eigen.eigenvalues[i]);
+        let is_free = eigen.eigenvalues[least] < FREE * others.fold(f64::INFINITY, f64::min);
+        is_free.then(|| eigen.eigenvectors.column(least).into())
+    }
+
+    /// The vertex of the stump that lies farthest in a direction.
+    fn highest(&self, surface: &Surface, outward: &Vector3<f64>) -> Option<u32> {
+        let high = |v: &u32| surface.mesh.vertices[*v as usize].coords.dot(outward);
+        self.between(0.0..self.stump.base).max_by(|a, b| high(a).total_cmp(&high(b)))
+    }
+
+    /// Whether one of the `ends` but its `own` lies on it or near its base: then the tube is that end's vessel, and the
+    /// tip a second leaf of it.
+    fn has_end_but(&self, own: u32, ends: &[u32]) -> bool {
+        /// How far from the base another end lies at least, in radii.
+        const APART: f64 = 2.5;
+        let far = self.stump.base + APART * self.stump.radius;
+        ends.iter().any(|&end| end != own && self.near.distance(end).is_some_and(|d| d < far))
+    }
+
+    /// Whether the wall above its base hangs together: a front on a vessel's side goes round it and comes apart.
+    fn is_one_ring(&self, edges: &EdgeGraph) -> bool {
+        /// Width of the ring, in radii, and the least share of its vertices that hang together: noise leaves some aside.
+        const RING: (f64, f64) = (0.8, 0.9);
+        let Stump { base, radius, .. } = self.stump;
+        let ring: FxHashSet<u32> = self.between((base - RING.0 * radius).max(0.0)..base).collect();
+        let Some(first) = self.between(0.0..base).find(|v| ring.contains(v)) else { return false };
+        let mut seen = FxHashSet::from_iter([first]);
+        let mut queue = vec![first];
+        while let Some(v) = queue.pop() {
+            let around = edges.neighbours(v).iter().map(|&(u, _)| u);
+            queue.extend(around.filter(|&u| ring.contains(&u) && seen.insert(u)));
+        }
+        seen.len() as f64 > RING.1 * ring.len() as f64
+    }
+
+    /// Whether it is high enough to be a branch, and the root's front shows less of it: nothing, or a part where it
+    /// `stays`.
+    fn is_hidden(&self, tip: &ShortTip, stays: bool, tip_height: f64) -> bool {
+        /// Most that a part rises, and least that it falls short of the whole, in radii: more is no corner.
+        const PART: (f64, f64) = (3.0, 0.25);
+        let Stump { base, radius, .. } = self.stump;
+        let height = base + CAP * radius;
+        let least = tip_height * tip.beside.map_or(radius, |beside| radius.min(beside));
+        height >= least && (!stays || tip.height < (PART.0 * radius).min(height - PART.1 * radius))
+    }
+}
