@@ -14,6 +14,7 @@ mod graph;
 mod laplacian_smoothing;
 mod least_radii;
 mod line_tree;
+mod median;
 mod orientation;
 mod own_sections;
 mod parameters;
@@ -173,8 +174,7 @@ fn finished(
     }
     control.cancel.check()?;
     let TracedLine { graph, tree, sections } = &line;
-    let (measured, warnings) =
-        Measured::of(index, Line { surface: grid.surface(), grid, graph, tree, sections });
+    let (measured, warnings) = Measured::of(index, Line { grid, graph, tree, sections });
     Ok(ComponentLine { graph: line.graph, measured, warnings })
 }
 

@@ -1,7 +1,7 @@
 //! The line's own sections: where the surface, cut perpendicular to the line, shows one vessel alone.
 //!
-//! At inner points of the branches, half a local radius apart or more where nobody asks for others, the surface is cut. A section is the line's
-//! own when it is closed around the point and one vessel's alone:
+//! At inner points of the branches, half a local radius apart or more where nobody asks for others, the surface is cut.
+//! A section is the line's own when it is closed around the point and one vessel's alone:
 //!
 //! - it is as convex as a vessel's: it fills 0.85 of what its own tangents enclose;
 //! - no other branch's inscribed sphere reaches into it, and the same branch does not pass through it twice;

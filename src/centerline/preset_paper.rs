@@ -11,6 +11,7 @@ use crate::centerline::connection::Connection;
 use crate::centerline::control::{Control, Stage};
 use crate::centerline::cut_plane::normal_lines::NormalLines;
 use crate::centerline::cut_plane::{CenterlinePoint, OrientedVertices, centerline_points, gradients};
+use crate::centerline::median::median;
 use crate::centerline::point_grid::PointGrid;
 use crate::centerline::preset_default::refuse_blob;
 use crate::centerline::recentering::joint_collapse::Joints;
@@ -219,12 +220,6 @@ fn local_radii(graph: &EdgeGraph, planes: &[CenterlinePoint]) -> Vec<f64> {
         median(around.chain([planes[v].radius]).collect())
     };
     (0..planes.len()).into_par_iter().map(one).collect()
-}
-
-/// Zero for no values.
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// How many passes carry a point's influence half a local radius far: each spreads it by half an edge.

@@ -22,9 +22,21 @@ pub struct TracedLine {
 
 impl TracedLine {
     /// The equivalent radii come from the sections.
-    fn of(mut graph: ComponentGraph, grid: &TriangleGrid<'_>) -> Self {
+    fn of(graph: ComponentGraph, grid: &TriangleGrid<'_>) -> Self {
+        let branches = 0..graph.branches.len();
+        Self::with_sections(graph, grid, Vec::new(), branches)
+    }
+
+    /// The line with the sections of other branches, and those of `branches` cut on it.
+    fn with_sections(
+        mut graph: ComponentGraph,
+        grid: &TriangleGrid<'_>,
+        mut sections: Vec<OwnSection>,
+        branches: impl IntoIterator<Item = usize>,
+    ) -> Self {
         let tree = LineTree::new(&graph);
-        let sections = own_sections(grid, &tree, &graph, 0..graph.branches.len());
+        sections.extend(own_sections(grid, &tree, &graph, branches.into_iter()));
+        sections.sort_by_key(|section| section.branch);
         equivalent_radius::settle(&mut graph, &sections);
         Self { graph, tree, sections }
     }
@@ -34,15 +46,11 @@ impl TracedLine {
     /// # Errors
     /// [`ExtractError::NotTubular`], see [`ComponentGraph::check_numbers`].
     pub fn told_anew(self, focal: FocalPlaces, grid: &TriangleGrid<'_>) -> Result<Self, ExtractError> {
-        let FocalPlaces { mut graph, branches } = focal;
+        let FocalPlaces { graph, branches } = focal;
         graph.check_numbers()?;
-        let tree = LineTree::new(&graph);
         let mut sections = self.sections;
         sections.retain(|section| branches.binary_search(&section.branch).is_err());
-        sections.extend(own_sections(grid, &tree, &graph, branches.into_iter()));
-        sections.sort_by_key(|section| section.branch);
-        equivalent_radius::settle(&mut graph, &sections);
-        Ok(Self { graph, tree, sections })
+        Ok(Self::with_sections(graph, grid, sections, branches))
     }
 }
 

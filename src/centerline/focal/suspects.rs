@@ -4,6 +4,7 @@ use super::window::Stretch;
 use super::{AGREED, COARSE};
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::graph::Branch;
+use crate::centerline::median::median;
 use crate::centerline::own_sections::OwnSection;
 use crate::centerline::triangle_grid::TriangleGrid;
 
@@ -112,12 +113,6 @@ fn reached_by_noise(ratios: &[(usize, f64)]) -> f64 {
     let apart: Vec<f64> = ratios.windows(3).filter_map(apart).collect();
     let off = median(ratios.iter().map(|(_, ratio)| *ratio).collect()).abs().min(ALL);
     (DEVIATIONS * NORMAL * median(apart) + off).exp()
-}
-
-/// 0 of none.
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 #[cfg(test)]

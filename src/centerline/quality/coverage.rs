@@ -8,6 +8,7 @@ use crate::mesh::preparation::{Opening, Surface};
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::graph::{Branch, NodeKind, Warning};
 use crate::centerline::line_tree::{LineTree, Segment};
+use crate::centerline::median::median;
 
 /// Farthest that covered wall lies, in radii of the line there.
 const NEAR: f64 = 1.5;
@@ -134,11 +135,8 @@ fn usual(line: &LineTree, here: &[f64], branches: usize) -> Vec<f64> {
     for (segment, flatness) in line.segments().iter().zip(here) {
         of_branch[segment.branch].push(*flatness);
     }
-    let median = |mut values: Vec<f64>| {
-        let middle = values.len() / 2;
-        if values.is_empty() { 1.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
-    };
-    of_branch.into_iter().map(median).collect()
+    // No ellipse is rounder than a circle.
+    of_branch.into_iter().map(|values| median(values).max(1.0)).collect()
 }
 
 /// Long over short half axis of the ellipse that has a branch's two radii at a point.

@@ -10,8 +10,6 @@ mod inside;
 mod room;
 mod thinness;
 
-use crate::mesh::preparation::Surface;
-
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::graph::Warning;
 use crate::centerline::line_tree::LineTree;
@@ -50,7 +48,6 @@ pub struct Centeredness {
 /// The line of one component, and what it is measured with.
 #[derive(Debug, Clone, Copy)]
 pub struct Line<'a> {
-    pub surface: &'a Surface,
     pub grid: &'a TriangleGrid<'a>,
     pub graph: &'a ComponentGraph,
     pub tree: &'a LineTree,
@@ -73,7 +70,8 @@ impl Measured {
     ///
     /// O(points of the line x (triangles nearby + log segments)).
     pub fn of(index: usize, line: Line<'_>) -> (Self, Vec<Warning>) {
-        let Line { surface, grid, graph, tree, sections } = line;
+        let Line { grid, graph, tree, sections } = line;
+        let surface = grid.surface();
         let homotopy = Homotopy::of(surface, graph);
         let inside = inside::measure(grid, graph);
         let covered = coverage::measure(surface, tree, graph);
@@ -123,6 +121,7 @@ mod tests {
     use crate::centerline::own_sections::own_sections;
     use crate::centerline::shapes::{open_tube, torus};
     use crate::centerline::test_surfaces::closed_surface;
+    use crate::mesh::preparation::Surface;
 
     /// One branch of radius 1 through `points`, between two ends or round one seam.
     fn line(points: Vec<Point3<f64>>, ring: bool) -> ComponentGraph {
@@ -149,7 +148,7 @@ mod tests {
     fn measured(surface: &Surface, graph: &ComponentGraph) -> (Quality, Vec<&'static str>) {
         let (grid, tree) = (TriangleGrid::new(surface), LineTree::new(graph));
         let sections = &own_sections(&grid, &tree, graph, 0..graph.branches.len());
-        let (sum, warnings) = Measured::of(0, Line { surface, grid: &grid, graph, tree: &tree, sections });
+        let (sum, warnings) = Measured::of(0, Line { grid: &grid, graph, tree: &tree, sections });
         (sum.quality().unwrap(), warnings.iter().map(|warning| warning.code).collect())
     }
 

@@ -4,7 +4,8 @@
 //! not heard, nor what the facets of a coarse mesh cut off, but a flat side is, and a wall that the line lies beside.
 
 use crate::centerline::component::ComponentGraph;
-use crate::centerline::graph::Warning;
+use crate::centerline::graph::{Branch, Warning};
+use crate::centerline::median::median;
 use crate::centerline::own_sections::OwnSection;
 
 /// Over how many of those distances it must not fit, in one stretch.
@@ -60,27 +61,16 @@ pub fn measure(graph: &ComponentGraph, sections: &[OwnSection], against: Against
     let excess = |section: &OwnSection| {
         graph.branches[section.branch].radii[section.place] / against.distance(section)
     };
-    let way = |branch: usize, places: std::ops::RangeInclusive<usize>| -> f64 {
-        graph.branches[branch].points[places]
-            .windows(2)
-            .map(|pair| (pair[1] - pair[0]).norm())
-            .sum::<f64>()
-            // The sum of nothing is -0.
-            .abs()
-    };
+    let ways: Vec<Vec<f64>> = graph.branches.iter().map(Branch::ways).collect();
+    let way = |a: &OwnSection, b: &OwnSection| ways[a.branch][b.place] - ways[a.branch][a.place];
     let together = |a: &OwnSection, b: &OwnSection| {
-        a.branch == b.branch
-            && (excess(a) > most) == (excess(b) > most)
-            && way(a.branch, a.place..=b.place) < GAP * a.radius
+        a.branch == b.branch && (excess(a) > most) == (excess(b) > most) && way(a, b) < GAP * a.radius
     };
     let tight = |run: &[OwnSection]| {
         let (first, last) = (run.first()?, run.last()?);
-        let length = way(first.branch, first.place..=last.place);
-        let median = |of: &dyn Fn(&OwnSection) -> f64| {
-            let mut all: Vec<f64> = run.iter().map(of).collect();
-            *all.select_nth_unstable_by(run.len() / 2, f64::total_cmp).1
-        };
-        let (usual, near) = (median(&excess), median(&|section| against.distance(section)));
+        let length = way(first, last);
+        let usual = median(run.iter().map(excess).collect());
+        let near = median(run.iter().map(|section| against.distance(section)).collect());
         let worst = run.iter().map(excess).fold(0.0, f64::max);
         let is_long = usual > most && length > STRETCH * near;
         let is_focal = against == Against::Wall && worst > FOCAL;
