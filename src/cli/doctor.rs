@@ -213,7 +213,9 @@ fn targets(args: &serve::Args) -> Vec<Finding> {
     let mut found: Vec<Finding> =
         checkup::secrecy(file.path(), "the file of webhook targets", "600").into_iter().collect();
     found.push(match targets {
-        Ok(targets) => Finding::Well(format!("{} webhook targets are told of jobs' ends", targets.len())),
+        Ok(targets) => {
+            Finding::Well(format!("webhook targets that are told of jobs' ends: {}", targets.len()))
+        }
         Err(error) => Finding::wrong(
             error.to_string(),
             "the service does not start: put a copy back, or remove it and add the targets again",

@@ -58,6 +58,9 @@ pub async fn receive(app: &App, request: Request) -> Result<Received, Problem> {
     Ok(Received { upload, asked, hint, owner: None })
 }
 
+/// So much of a content type that was not taken is told back.
+const LONGEST_TYPE: usize = 64;
+
 /// The essence of `Content-Type`, in lower case; a body without one is taken by its content.
 fn content_type(headers: &HeaderMap) -> Result<String, Problem> {
     let Some(value) = headers.get(header::CONTENT_TYPE) else { return Ok(ANY_TYPE.to_owned()) };
@@ -67,7 +70,8 @@ fn content_type(headers: &HeaderMap) -> Result<String, Problem> {
         return Ok(essence);
     }
     let accepted = [&MESH_TYPES[..], &[FORM_TYPE]].concat().join(", ");
-    let detail = format!("send a mesh as one of {accepted}");
+    let found: String = essence.chars().filter(|c| c.is_ascii_graphic()).take(LONGEST_TYPE).collect();
+    let detail = format!("the body came as '{found}'; send a mesh as one of {accepted}");
     Err(Problem::new(&UNSUPPORTED_MEDIA_TYPE, detail)
         .with("accepted", [&MESH_TYPES[..], &[FORM_TYPE]].concat())
         .header(header::ACCEPT, accepted))

@@ -181,3 +181,25 @@ fn a_point_off_the_surface_is_refused_by_its_number() {
         assert!((distance - 4.0).abs() < 1e-9, "{distance}");
     }
 }
+
+/// The stump's own front counts on it; the peak that is raised for the point stands on the way to the root.
+#[test]
+fn a_point_beside_a_short_wide_leg_becomes_an_end_as_well() {
+    let (from, to) = (Point3::new(-16.0, 0.0, 0.0), Point3::new(16.0, 0.0, 0.0));
+    let field = |point: &Point3<f64>| {
+        let leg = from_segment(point, Point3::origin(), Point3::new(0.0, 0.0, 5.2));
+        from_segment(point, from, to).min(leg) - 2.0
+    };
+    let mesh = implicit([-19.1, -3.1, -3.1], [19.0, 3.0, 8.0], 0.5, field);
+    for place in [-9.0, -4.0, 4.0, 9.0] {
+        let found = picked(&mesh, Preset::Default, &[("include", Point3::new(place, 0.0, -2.0))]).unwrap();
+        assert_eq!(ends(&found).len(), 4, "{place}");
+        let away =
+            |at: Point3<f64>| ends(&found).iter().map(|end| (end - at).norm()).fold(f64::INFINITY, f64::min);
+        assert!(
+            away(Point3::new(0.0, 0.0, 7.2)) < 0.4 && away(Point3::new(place, 0.0, -2.0)) < 0.4,
+            "{place}"
+        );
+        assert_sound(&found);
+    }
+}

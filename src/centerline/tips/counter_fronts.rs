@@ -2,7 +2,9 @@
 //!
 //! Where the front from the root hides a [`Stump`], the distance `d` from the stump's cap counts instead: the function
 //! is the larger of the root's distance and `C - d`, with `C` such that on all the stump the latter is. Its level sets
-//! are square to the stump, and its Reeb graph has as many loops as the surface, as that of any function.
+//! are square to the stump, and its Reeb graph has as many loops as the surface, as that of any function. Past the
+//! stump's base `d` counts twice, so that the front ends near it: along a shortest way to the root both sides of the
+//! comparison would fall alike.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -25,26 +27,47 @@ pub fn countered(
     /// more.
     const ABOVE: f64 = 0.5;
     let mut function = from_root.to_vec();
-    for Stump { vertex, cap, base, radius } in stumps {
-        cancel.check()?;
+    for Stump { vertex, cap, base, radius, .. } in stumps {
         let from_root = |v: u32| from_root[v as usize];
-        let tube = geodesic_near(edges, (*vertex, cap), |_, d| d < base - ABOVE * radius);
-        let meet = tube.reached().map(|(v, d)| from_root(v) + d).fold(0.0, f64::max);
-        // Along a way to the cap `d` falls by no less than the other distance rises: what lies past a meeting is lost.
-        let front = geodesic_near(edges, (*vertex, cap), |v, d| meet - d > from_root(v));
+        let firm = (base - ABOVE * radius).max(0.0);
+        let tube = geodesic_near(edges, (*vertex, cap), |_, d| d < firm, cancel)?;
+        // A cap may be that of an opening, whose centre is raised.
+        let wall = tube.reached().filter(|(v, _)| !cap.contains(v));
+        let meet = wall.map(|(v, d)| from_root(v) + d).fold(0.0, f64::max);
+        let level = |d: f64| meet - d - (d - firm).max(0.0);
+        let front = geodesic_near(edges, (*vertex, cap), |v, d| level(d) > from_root(v), cancel)?;
         for (v, d) in front.reached() {
             let value = &mut function[v as usize];
-            *value = value.max(meet - d);
+            *value = value.max(level(d));
         }
     }
-    flooded(edges, source, function, cancel)
+    flooded(edges, (source, from_root), function, cancel)
+}
+
+/// The `function` with a peak at each of the `raised` vertices, without hollows. O(n log n).
+///
+/// # Errors
+/// [`ExtractError::Cancelled`].
+pub fn with_peaks(
+    edges: &EdgeGraph,
+    (source, function): (u32, &[f64]),
+    raised: &[u32],
+    cancel: &CancelToken,
+) -> Result<Geodesic, ExtractError> {
+    let mut peaked = function.to_vec();
+    for &v in raised {
+        let around = edges.neighbours(v).iter().map(|&(u, _)| function[u as usize]);
+        peaked[v as usize] = around.fold(function[v as usize], f64::max) + edges.peak(v);
+    }
+    flooded(edges, (source, function), peaked, cancel)
 }
 
 /// A function whose hollows are filled to their lowest way out, so that its only minimum is the source, and the order
-/// in which it rises from there, each vertex after a neighbour. O(n log n).
+/// in which it rises from there, each vertex after a neighbour. Where it is level now, that is the order of `before`.
+/// O(n log n).
 fn flooded(
     edges: &EdgeGraph,
-    source: u32,
+    (source, before): (u32, &[f64]),
     mut function: Vec<f64>,
     cancel: &CancelToken,
 ) -> Result<Geodesic, ExtractError> {
@@ -52,17 +75,19 @@ fn flooded(
     let mut order = Vec::with_capacity(function.len());
     let mut seen = vec![false; function.len()];
     // Non-negative doubles sort like their bits; the vertex number breaks ties.
-    let mut heap = BinaryHeap::from([Reverse((function[source as usize].to_bits(), source))]);
+    let key = |value: f64, v: u32| Reverse((value.to_bits(), before[v as usize].to_bits(), v));
+    let mut heap = BinaryHeap::from([key(function[source as usize], source)]);
     seen[source as usize] = true;
-    while let Some(Reverse((bits, v))) = heap.pop() {
+    while let Some(Reverse((bits, _, v))) = heap.pop() {
         order.push(v);
         if order.len().is_multiple_of(RUN) {
             cancel.check()?;
         }
         for &(u, _) in edges.neighbours(v) {
             if !std::mem::replace(&mut seen[u as usize], true) {
-                function[u as usize] = function[u as usize].max(f64::from_bits(bits));
-                heap.push(Reverse((function[u as usize].to_bits(), u)));
+                let value = function[u as usize].max(f64::from_bits(bits));
+                function[u as usize] = value;
+                heap.push(key(value, u));
             }
         }
     }
@@ -76,10 +101,12 @@ mod tests {
     use crate::centerline::test_surfaces::closed_surface;
     use crate::centerline::tips::geodesic::geodesic;
 
-    /// The edges of a tube of radius 1, 20 long, and the distances from a vertex at its foot.
+    /// The edges of a tube of radius 1, 20 long, and the distances from a vertex on its upper rim: they come aslant.
     fn tube() -> (EdgeGraph, Vec<f64>) {
         let surface = closed_surface(&open_tube(20.0, 41, 16));
         let edges = EdgeGraph::new(&surface.mesh.vertices, &surface.corners);
+        let is_rim = |p: &nalgebra::Point3<f64>| p.z == 20.0 && p.x < -0.99;
+        assert!(is_rim(&surface.mesh.vertices[0]), "{:?}", surface.mesh.vertices[0]);
         let distance = geodesic(&edges, &[0], &CancelToken::new()).unwrap().distance;
         (edges, distance)
     }
@@ -90,7 +117,8 @@ mod tests {
         // Hollows all over.
         (1..function.len()).step_by(7).for_each(|v| function[v] *= 0.3);
         let before = function.clone();
-        let Geodesic { distance, order } = flooded(&edges, 0, function, &CancelToken::new()).unwrap();
+        let Geodesic { distance, order } =
+            flooded(&edges, (0, &before), function, &CancelToken::new()).unwrap();
         assert_eq!(order.len(), distance.len());
         assert!(order.windows(2).all(|pair| distance[pair[0] as usize] <= distance[pair[1] as usize]));
         assert!(distance.iter().zip(&before).all(|(after, before)| after >= before));
@@ -116,7 +144,7 @@ mod tests {
         let (edges, from_root) = tube();
         let last = crate::centerline::tips::farthest(&from_root);
         let cap = [last].into_iter().collect();
-        let stump = Stump { vertex: last, cap, base: 4.0, radius: 1.0 };
+        let stump = Stump { vertex: last, cap, base: 4.0, radius: 1.0, leaf: last };
         let met = countered(&edges, (0, &from_root), &[stump], &CancelToken::new()).unwrap();
         let top = met.distance[last as usize];
         let to_tip = geodesic(&edges, &[last], &CancelToken::new()).unwrap().distance;
@@ -127,5 +155,14 @@ mod tests {
                 assert_eq!(met.distance[v], from_root[v], "{v} at {d}");
             }
         }
+    }
+
+    #[test]
+    fn a_peak_stands_over_what_is_around_it() {
+        let (edges, from_root) = tube();
+        let at = from_root.iter().position(|&d| (9.0..11.0).contains(&d)).unwrap() as u32;
+        let peaked = with_peaks(&edges, (0, &from_root), &[at], &CancelToken::new()).unwrap().distance;
+        assert!(edges.neighbours(at).iter().all(|&(u, _)| peaked[u as usize] < peaked[at as usize]));
+        assert!((0..peaked.len()).all(|v| v == at as usize || peaked[v] == from_root[v]));
     }
 }

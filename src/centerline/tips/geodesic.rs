@@ -91,10 +91,15 @@ impl EdgeGraph {
     /// Makes each vertex a tip, four of its edges high.
     pub fn raise_vertices(&mut self, vertices: &[u32]) {
         for &v in vertices {
-            let links = self.neighbours(v);
-            let sum: f64 = links.iter().map(|&(_, length)| f64::from(length)).sum();
-            self.raise_vertex(v, 4.0 * sum / links.len().max(1) as f64);
+            self.raise_vertex(v, self.peak(v));
         }
+    }
+
+    /// How high a vertex is raised that is to be a tip, in the input's unit.
+    pub fn peak(&self, vertex: u32) -> f64 {
+        let links = self.neighbours(vertex);
+        let sum: f64 = links.iter().map(|&(_, length)| f64::from(length)).sum();
+        4.0 * sum / links.len().max(1) as f64
     }
 
     /// Lengthens the edges at a vertex by `rise`.
@@ -194,11 +199,16 @@ impl Near {
 /// Dijkstra's algorithm from the tip of a cap whose own edges are short, as [`EdgeGraph::shrink`] makes them, as far as
 /// `onward` says of a vertex and its distance; those where it says no are reached and not gone on from.
 /// O(reached x log reached).
+///
+/// # Errors
+/// [`ExtractError::Cancelled`].
 pub fn geodesic_near(
     graph: &EdgeGraph,
     (tip, cap): (u32, &FxHashSet<u32>),
     onward: impl Fn(u32, f64) -> bool,
-) -> Near {
+    cancel: &CancelToken,
+) -> Result<Near, ExtractError> {
+    const RUN: usize = 8192;
     let mut near = Near::default();
     let mut heap = BinaryHeap::from([Reverse((0_u64, tip))]);
     near.distance.insert(tip, 0.0);
@@ -208,6 +218,9 @@ pub fn geodesic_near(
             continue;
         }
         near.order.push(v);
+        if near.order.len().is_multiple_of(RUN) {
+            cancel.check()?;
+        }
         if !onward(v, reached) {
             continue;
         }
@@ -221,5 +234,5 @@ pub fn geodesic_near(
             }
         }
     }
-    near
+    Ok(near)
 }

@@ -95,9 +95,14 @@ impl Branching {
 
     /// How many ends the chains have.
     pub fn ends(&self) -> usize {
+        self.end_nodes().len()
+    }
+
+    /// The Reeb nodes that are ends, by number.
+    fn end_nodes(&self) -> Vec<u32> {
         let mut nodes: Vec<u32> = self.nodes().collect();
         nodes.sort_unstable();
-        nodes.chunk_by(|a, b| a == b).filter(|same| same.len() == 1).count()
+        nodes.chunk_by(|a, b| a == b).filter(|same| same.len() == 1).map(|same| same[0]).collect()
     }
 
     /// Whether a Reeb node is an end.
@@ -116,7 +121,7 @@ impl Branching {
 pub struct ShortTip {
     /// The leaf's Reeb node.
     pub leaf: u32,
-    /// Centre and radius of the level set at its base.
+    /// Centre and radius of the level set at its base; this and the other lengths in the input's unit.
     pub base: Point3<f64>,
     pub radius: f64,
     /// Radius of the vessel that passes its base; `None` where nothing shows it or too few edges the base.

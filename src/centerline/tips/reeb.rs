@@ -83,10 +83,22 @@ pub fn reeb_graph(
 }
 
 /// The Reeb graph of any function that has its only minimum at the first vertex of its order. O(n).
-pub fn reeb_graph_of(surface: &Surface, function: Geodesic) -> ReebGraph {
+///
+/// # Errors
+/// [`ExtractError::Cancelled`].
+pub fn reeb_graph_of(
+    surface: &Surface,
+    function: Geodesic,
+    cancel: &CancelToken,
+) -> Result<ReebGraph, ExtractError> {
+    /// Vertices between two looks for a cancellation.
+    const RUN: usize = 8192;
     let mut sweep = Sweep::new(&surface.corners);
-    function.order.iter().for_each(|&v| sweep.pass(v));
-    measured(surface, function, sweep)
+    for run in function.order.chunks(RUN) {
+        cancel.check()?;
+        run.iter().for_each(|&v| sweep.pass(v));
+    }
+    Ok(measured(surface, function, sweep))
 }
 
 /// What a sweep has found, with levels and lengths.

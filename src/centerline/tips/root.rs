@@ -50,7 +50,12 @@ pub fn roots(surface: &Surface, graph: &ReebGraph, branching: &Branching, among:
     /// Each costs a geodesic and a Reeb graph.
     const MOST: usize = 3;
     let mut ends = chain_ends(surface, graph, &branching.chains);
-    ends.extend(branching.doubtful.iter().filter_map(|tip| short_end(surface, graph, tip)));
+    ends.extend(
+        branching
+            .doubtful
+            .iter()
+            .filter_map(|tip| short_end(surface, graph.nodes[tip.leaf as usize].vertex, tip)),
+    );
     if among == Among::LongEnds && ends.iter().any(|end| !end.short) {
         ends.retain(|end| !end.short);
     }
@@ -94,9 +99,8 @@ fn chain_ends(surface: &Surface, graph: &ReebGraph, chains: &[Chain]) -> Vec<End
     free.filter_map(|(chain, _, at_start)| end_of(surface, graph, chain, at_start)).collect()
 }
 
-/// A short leaf as an end.
-pub fn short_end(surface: &Surface, graph: &ReebGraph, tip: &ShortTip) -> Option<End> {
-    let vertex = graph.nodes[tip.leaf as usize].vertex;
+/// A short leaf, at its vertex, as an end.
+pub fn short_end(surface: &Surface, vertex: u32, tip: &ShortTip) -> Option<End> {
     let outward = (surface.mesh.vertices[vertex as usize] - tip.base).try_normalize(0.0)?;
     let outward = along_vessel(surface, vertex, tip.radius, outward);
     Some(End { vertex, radius: tip.radius, outward, short: true })

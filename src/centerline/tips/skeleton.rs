@@ -1,10 +1,11 @@
 //! The Reeb graph that the line hangs on, and which of its arcs are branches.
 
 use rayon::prelude::*;
+use rustc_hash::FxHashSet;
 
 use crate::mesh::preparation::Surface;
 
-use super::counter_fronts::countered;
+use super::counter_fronts::{countered, with_peaks};
 use super::geodesic::{EdgeGraph, geodesic};
 use super::picks::{Kept, Picks, keep, root_near};
 use super::reeb::{ReebGraph, reeb_graph, reeb_graph_of};
@@ -62,16 +63,18 @@ pub fn skeleton(
     let Kept { mut leaves, raised } = keep(surface, &graph, &branching, &picks.include);
     leaves.extend(stumps.iter().map(|stump| stump.vertex));
     let choice = Choice { kept: &leaves, excluded: &picks.exclude, ..choice };
-    edges.raise_vertices(&raised);
-    let mut graph = reeb_graph(surface, &edges, &[source], cancel)?;
-    if !stumps.is_empty() {
-        graph = reeb_graph_of(surface, countered(&edges, (source, &graph.function), &stumps, cancel)?);
-    }
+    let graph = if stumps.is_empty() {
+        edges.raise_vertices(&raised);
+        reeb_graph(surface, &edges, &[source], cancel)?
+    } else {
+        reeb_graph_of(surface, with_peaks(&edges, (source, &graph.function), &raised, cancel)?, cancel)?
+    };
     let branching = chains(surface, &graph, &choice, cancel)?;
     Ok((graph, Branching { raised, ..branching }))
 }
 
-/// The view with the short wide branches that it hides, and these. They were judged from their own tips.
+/// The view with the short wide branches that it hides, and these. They were judged from their own tips, and stay where all
+/// of them are ends then and no other is lost.
 fn with_stumps(
     surface: &Surface,
     view: View,
@@ -84,10 +87,16 @@ fn with_stumps(
         return Ok((view, stumps));
     }
     let function = countered(&view.edges, (view.source, &view.graph.function), &stumps, cancel)?;
-    let graph = reeb_graph_of(surface, function);
+    let graph = reeb_graph_of(surface, function, cancel)?;
     let kept: Vec<u32> = stumps.iter().map(|stump| stump.vertex).collect();
     let branching = chains(surface, &graph, &Choice { kept: &kept, ..*choice }, cancel)?;
-    if branching.ends() < view.branching.ends() {
+    let ends = |graph: &ReebGraph, branching: &Branching| -> FxHashSet<u32> {
+        branching.end_nodes().into_iter().map(|node| graph.nodes[node as usize].vertex).collect()
+    };
+    let (before, after) = (ends(&view.graph, &view.branching), ends(&graph, &branching));
+    let added = stumps.iter().filter(|stump| !before.contains(&stump.leaf)).count();
+    let stay = after.len() >= before.len() + added && kept.iter().all(|v| after.contains(v));
+    if !stay {
         return Ok((view, Vec::new()));
     }
     Ok((View { graph, branching, ..view }, stumps))

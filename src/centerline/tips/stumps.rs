@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 use nalgebra::{Matrix3, Vector3};
-use rustc_hash::FxHashSet;
+use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::mesh::preparation::Surface;
 
@@ -35,12 +35,15 @@ pub struct Stump {
     pub cap: FxHashSet<u32>,
     /// Distance from the cap up to which it is a tube, in the input's unit.
     pub base: f64,
-    /// Radius of that tube.
+    /// Radius of that tube, in the input's unit.
     pub radius: f64,
+    /// The vertex of the leaf that showed it.
+    pub leaf: u32,
 }
 
 /// The short branches that are tubes seen from their tips and that the front from the root shows as less: those that
-/// it left out, and those of which it shows only a part. O(wall within some radii of each leaf that is looked at).
+/// it left out, and those of which it shows only a part. O(wall within some radii of each leaf that is looked at, a dozen
+/// times).
 ///
 /// # Errors
 /// [`ExtractError::Cancelled`].
@@ -51,26 +54,35 @@ pub fn stumps(
     tip_height: f64,
     cancel: &CancelToken,
 ) -> Result<Vec<Stump>, ExtractError> {
-    let is_end = |node: &u32| branching.ends_at(*node);
-    let ends: Vec<u32> =
-        branching.nodes().filter(is_end).map(|node| graph.nodes[node as usize].vertex).collect();
+    let ends = ends(surface, graph, branching);
     let kept = branching.low.iter().map(|tip| (tip, true));
     let mut found: Vec<Stump> = Vec::new();
+    // Two leaves of one branch are one.
+    let mut taken: FxHashSet<u32> = FxHashSet::default();
     for (tip, stays) in kept.chain(branching.doubtful.iter().map(|tip| (tip, false))) {
-        cancel.check()?;
-        let Some(view) = best_view(surface, edges, graph, tip) else { continue };
-        // Two leaves of one branch are one.
-        let fresh = found.iter().all(|other| other.cap.is_disjoint(&view.stump.cap));
-        let own = graph.nodes[tip.leaf as usize].vertex;
-        if fresh
-            && !view.has_end_but(own, &ends)
+        let leaf = graph.nodes[tip.leaf as usize].vertex;
+        if taken.contains(&leaf) {
+            continue;
+        }
+        let Some(view) = best_tip_view(surface, edges, leaf, tip, cancel)? else { continue };
+        if !view.has_end_but(leaf, &ends)
             && view.is_one_ring(edges)
             && view.is_hidden(tip, stays, tip_height)
+            && taken.is_disjoint(&view.stump.cap)
         {
+            taken.extend(view.between(0.0..view.stump.base));
             found.push(view.stump);
         }
     }
     Ok(found)
+}
+
+/// The ends' vertices, and what stands for them: of an opening its rim, as its centre is raised.
+fn ends(surface: &Surface, graph: &ReebGraph, branching: &Branching) -> Vec<(u32, Vec<u32>)> {
+    let rims: FxHashMap<u32, &Vec<u32>> =
+        surface.openings.iter().map(|opening| (opening.centre, &opening.rim)).collect();
+    let vertices = branching.end_nodes().into_iter().map(|node| graph.nodes[node as usize].vertex);
+    vertices.map(|v| (v, rims.get(&v).map_or_else(|| vec![v], |rim| rim.to_vec()))).collect()
 }
 
 /// What a front from a tip shows.
@@ -81,47 +93,81 @@ struct TipView {
 
 /// What the front shows that shows the longest tube, for it is square to it. The root's front leaves the far corner of
 /// an end for the last, so each tube that is found says where the end rather is.
-fn best_view(surface: &Surface, edges: &EdgeGraph, graph: &ReebGraph, tip: &ShortTip) -> Option<TipView> {
+fn best_tip_view(
+    surface: &Surface,
+    edges: &EdgeGraph,
+    leaf: u32,
+    tip: &ShortTip,
+    cancel: &CancelToken,
+) -> Result<Option<TipView>, ExtractError> {
     /// How often at most the end is put straight.
     const STRAIGHTENED: usize = 4;
-    let beside = tip.beside.filter(|beside| tip.radius >= 0.5 * WIDTHS.start * beside)?;
-    let vertex = graph.nodes[tip.leaf as usize].vertex;
-    let away = (surface.mesh.vertices[vertex as usize] - tip.base).try_normalize(0.0)?;
-    let normal = surface.corners.star(vertex).map(|h| surface.mesh.area_vector(h / 3)).sum::<Vector3<f64>>();
-    let normal = normal.try_normalize(0.0)?;
-    let along = short_end(surface, graph, tip)?.outward;
-    let view = |(vertex, radius, outward)| {
-        TipView::from(surface, edges, &End { vertex, radius, outward, short: true }, beside)
+    let Some(beside) = tip.beside.filter(|beside| tip.radius >= 0.5 * WIDTHS.start * beside) else {
+        return Ok(None);
     };
-    let first = [Some(away), Some(along), Some(normal), (away + normal).try_normalize(0.0)];
-    let views = first.into_iter().flatten().filter_map(|outward| view((vertex, tip.radius, outward)));
-    let mut best = longest(views)?;
+    let view = |(vertex, radius, outward)| {
+        let end = End { vertex, radius, outward, short: true };
+        TipView::from(surface, edges, &end, (leaf, beside), cancel)
+    };
+    let first = first_directions(surface, leaf, tip).into_iter();
+    let Some(mut best) = longest(first.map(|outward| view((leaf, tip.radius, outward))))? else {
+        return Ok(None);
+    };
     for _ in 0..STRAIGHTENED {
-        let looks = best.directions(surface).into_iter();
-        let views =
-            looks.filter_map(|outward| view((best.highest(surface, &outward)?, best.stump.radius, outward)));
-        match longest(views).filter(|next| next.stump.base > best.stump.base) {
+        let directions = best.directions(surface).into_iter();
+        let end = |outward| Some((best.highest(surface, &outward)?, best.stump.radius, outward));
+        let next = longest(directions.filter_map(end).map(view))?;
+        match next.filter(|next| next.stump.base > best.stump.base) {
             Some(next) => best = next,
             None => break,
         }
     }
-    Some(best)
+    Ok(Some(best))
 }
 
-fn longest(views: impl Iterator<Item = TipView>) -> Option<TipView> {
-    views.max_by(|a, b| a.stump.base.total_cmp(&b.stump.base))
+/// Where a leaf may point, told by it alone: away from its base, along the vessel around it, along its normal, and
+/// between the first and the last.
+fn first_directions(surface: &Surface, leaf: u32, tip: &ShortTip) -> Vec<Vector3<f64>> {
+    /// Cosine of the angle within which one is enough.
+    const ALIKE: f64 = 0.98;
+    let away = (surface.mesh.vertices[leaf as usize] - tip.base).try_normalize(0.0);
+    let normal: Vector3<f64> = surface.corners.star(leaf).map(|h| surface.mesh.area_vector(h / 3)).sum();
+    let normal = normal.try_normalize(0.0);
+    let between = away.zip(normal).and_then(|(away, normal)| (away + normal).try_normalize(0.0));
+    let along = short_end(surface, leaf, tip).map(|end| end.outward);
+    let mut directions: Vec<Vector3<f64>> = Vec::new();
+    for direction in [away, along, normal, between].into_iter().flatten() {
+        if directions.iter().all(|other| other.dot(&direction) < ALIKE) {
+            directions.push(direction);
+        }
+    }
+    directions
+}
+
+fn longest(
+    views: impl Iterator<Item = Result<Option<TipView>, ExtractError>>,
+) -> Result<Option<TipView>, ExtractError> {
+    let views = views.filter_map(Result::transpose).collect::<Result<Vec<_>, ExtractError>>()?;
+    Ok(views.into_iter().max_by(|a, b| a.stump.base.total_cmp(&b.stump.base)))
 }
 
 impl TipView {
     /// `None` where the front shows no tube, or one that is no stump's beside a vessel of such a radius.
-    fn from(surface: &Surface, edges: &EdgeGraph, end: &End, beside: f64) -> Option<Self> {
+    fn from(
+        surface: &Surface,
+        edges: &EdgeGraph,
+        end: &End,
+        (leaf, beside): (u32, f64),
+        cancel: &CancelToken,
+    ) -> Result<Option<Self>, ExtractError> {
         /// How far it is looked at, in radii of the vessel.
         const FAR: f64 = 8.0;
         let cap = cap_of(surface, end);
-        let near = geodesic_near(edges, (end.vertex, &cap), |_, d| d < FAR * beside);
-        let Tube { base, mouth, radius } = FrontLengths::of(surface, &near, beside)?.tube(beside)?;
-        let stump = Stump { vertex: end.vertex, cap, base, radius };
-        WIDTHS.contains(&(mouth / beside)).then_some(Self { stump, near })
+        let near = geodesic_near(edges, (end.vertex, &cap), |_, d| d < FAR * beside, cancel)?;
+        let tube = FrontLengths::of(surface, &near, beside).and_then(|lengths| lengths.tube(beside));
+        let Some(Tube { base, mouth, radius }) = tube else { return Ok(None) };
+        let stump = Stump { vertex: end.vertex, cap, base, radius, leaf };
+        Ok(WIDTHS.contains(&(mouth / beside)).then_some(Self { stump, near }))
     }
 
     /// Vertices whose distance from the cap lies in a range, in the order of that.
@@ -174,11 +220,12 @@ impl TipView {
 
     /// Whether one of the `ends` but its `own` lies on it or near its base: then the tube is that end's vessel, and the
     /// tip a second leaf of it.
-    fn has_end_but(&self, own: u32, ends: &[u32]) -> bool {
+    fn has_end_but(&self, own: u32, ends: &[(u32, Vec<u32>)]) -> bool {
         /// How far from the base another end lies at least, in radii.
         const APART: f64 = 2.5;
         let far = self.stump.base + APART * self.stump.radius;
-        ends.iter().any(|&end| end != own && self.near.distance(end).is_some_and(|d| d < far))
+        let is_near = |v: &u32| self.near.distance(*v).is_some_and(|d| d < far);
+        ends.iter().any(|(end, places)| *end != own && places.iter().any(is_near))
     }
 
     /// Whether the wall above its base hangs together: a front on a vessel's side goes round it and comes apart.
