@@ -70,8 +70,10 @@ fn content_type(headers: &HeaderMap) -> Result<String, Problem> {
         return Ok(essence);
     }
     let accepted = [&MESH_TYPES[..], &[FORM_TYPE]].concat().join(", ");
-    let found: String = essence.chars().filter(|c| c.is_ascii_graphic()).take(LONGEST_TYPE).collect();
-    let detail = format!("the body came as '{found}'; send a mesh as one of {accepted}");
+    let shown = |c: &char| c.is_ascii_graphic() || *c == ' ';
+    let found: String = essence.chars().filter(shown).take(LONGEST_TYPE).collect();
+    let came = if found.is_empty() { "no type that can be read".to_owned() } else { format!("'{found}'") };
+    let detail = format!("the body came as {came}; send a mesh as one of {accepted}");
     Err(Problem::new(&UNSUPPORTED_MEDIA_TYPE, detail)
         .with("accepted", [&MESH_TYPES[..], &[FORM_TYPE]].concat())
         .header(header::ACCEPT, accepted))

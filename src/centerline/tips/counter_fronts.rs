@@ -1,9 +1,10 @@
 //! Fronts from the tips of short wide branches, that meet the one from the root.
 //!
 //! Where the front from the root hides a [`Stump`], the distance `d` from the stump's cap counts instead: the function
-//! is the larger of the root's distance and `C - d`, with `C` such that on all the stump the latter is. Its level sets
-//! are square to the stump, and its Reeb graph has as many loops as the surface, as that of any function. Past the
-//! stump's base `d` counts twice, so that the front ends near it: along a shortest way to the root both sides of the
+//! is the larger of the root's distance and `C - d`, with `C` such that on the stump the latter is, but for the last half
+//! radius above its base. Its level sets
+//! are square to the stump, and its Reeb graph has as many loops as the surface, as that of any function. From there
+//! on `d` counts twice, so that the front ends near it: along a shortest way to the root both sides of the
 //! comparison would fall alike.
 
 use std::cmp::Reverse;
@@ -30,7 +31,7 @@ pub fn countered(
     for Stump { vertex, cap, base, radius, .. } in stumps {
         let from_root = |v: u32| from_root[v as usize];
         let firm = (base - ABOVE * radius).max(0.0);
-        let tube = geodesic_near(edges, (*vertex, cap), |_, d| d < firm, cancel)?;
+        let tube = geodesic_near(edges, (*vertex, cap), |v, d| d < firm || cap.contains(&v), cancel)?;
         // A cap may be that of an opening, whose centre is raised.
         let wall = tube.reached().filter(|(v, _)| !cap.contains(v));
         let meet = wall.map(|(v, d)| from_root(v) + d).fold(0.0, f64::max);

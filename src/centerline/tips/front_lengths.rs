@@ -86,13 +86,15 @@ impl FrontLengths {
         const GROWTH: f64 = 1.25;
         /// Most that they may be against the shortest of them.
         const LONGEST: f64 = 1.15;
+        /// How far from the cap they grow no more, in radii of the vessel: around a bump they do until they have gone round.
+        const SETTLED: f64 = 0.5;
         let half = 0.25 * scale;
         let length = |at: f64| self.length(at, half);
         let is_steady = |at: f64| length(at + 0.5 * length(at) / TAU) <= GROWTH * length(at);
         // What was reached last is no front any more.
         let end = (self.within.len() - 1) as f64 * self.step - scale;
         let places = (1..).map(|k| f64::from(k) * self.step).take_while(|&at| at < end);
-        let mut tube = places.skip_while(|&at| !is_steady(at)).peekable();
+        let mut tube = places.skip_while(|&at| at < SETTLED * scale && !is_steady(at)).peekable();
         let mouth = length(*tube.peek()?) / TAU;
         let mut shortest = f64::INFINITY;
         let tube = tube.take_while(|&at| {

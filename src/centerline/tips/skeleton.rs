@@ -63,7 +63,9 @@ pub fn skeleton(
     let Kept { mut leaves, raised } = keep(surface, &graph, &branching, &picks.include);
     leaves.extend(stumps.iter().map(|stump| stump.vertex));
     let choice = Choice { kept: &leaves, excluded: &picks.exclude, ..choice };
-    let graph = if stumps.is_empty() {
+    let graph = if raised.is_empty() {
+        graph
+    } else if stumps.is_empty() {
         edges.raise_vertices(&raised);
         reeb_graph(surface, &edges, &[source], cancel)?
     } else {
@@ -95,7 +97,7 @@ fn with_stumps(
     };
     let (before, after) = (ends(&view.graph, &view.branching), ends(&graph, &branching));
     let added = stumps.iter().filter(|stump| !before.contains(&stump.leaf)).count();
-    let stay = after.len() >= before.len() + added && kept.iter().all(|v| after.contains(v));
+    let stay = after.len() == before.len() + added && kept.iter().all(|v| after.contains(v));
     if !stay {
         return Ok((view, Vec::new()));
     }

@@ -60,6 +60,7 @@ pub fn stumps(
     // Two leaves of one branch are one.
     let mut taken: FxHashSet<u32> = FxHashSet::default();
     for (tip, stays) in kept.chain(branching.doubtful.iter().map(|tip| (tip, false))) {
+        cancel.check()?;
         let leaf = graph.nodes[tip.leaf as usize].vertex;
         if taken.contains(&leaf) {
             continue;
