@@ -2,10 +2,9 @@
 //!
 //! Where the front from the root hides a [`Stump`], the distance `d` from the stump's cap counts instead: the function
 //! is the larger of the root's distance and `C - d`, with `C` such that on the stump the latter is, but for the last half
-//! radius above its base. Its level sets
-//! are square to the stump, and its Reeb graph has as many loops as the surface, as that of any function. From there
-//! on `d` counts twice, so that the front ends near it: along a shortest way to the root both sides of the
-//! comparison would fall alike.
+//! radius above its base. From there on `d` counts twice, so that the front ends near it: along a shortest way to the
+//! root both sides of the comparison would fall alike. The level sets are square to the stump, and the Reeb graph has as
+//! many loops as the surface, as that of any function.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;

@@ -77,8 +77,7 @@ impl FrontLengths {
         (self.area(at + half) - self.area(low)) / (at + half - low)
     }
 
-    /// As much of it as is a tube. `None` where they grow from the cap on, as
-    /// they do around a bump.
+    /// As much of the wall as is a tube. `None` where its fronts grow from the cap on, as they do around a bump.
     ///
     /// `scale` as in [`FrontLengths::of`].
     pub fn tube(&self, scale: f64) -> Option<Tube> {

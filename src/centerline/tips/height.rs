@@ -9,7 +9,6 @@ use crate::mesh::preparation::Opening;
 use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
 
 use super::geodesic::RISE;
-use super::reeb::ReebArc;
 use super::stumps::EDGES;
 use super::{Pruning, ShortTip};
 
@@ -18,6 +17,16 @@ impl Pruning<'_> {
     pub fn span(&self, arc: u32) -> f64 {
         let arc = &self.graph.arcs[arc as usize];
         self.graph.nodes[arc.upper as usize].level - self.graph.nodes[arc.lower as usize].level
+    }
+
+    /// How far the function rises along a leaf.
+    pub fn rise(&self, leaf: &[u32]) -> f64 {
+        leaf.iter().map(|&arc| self.span(arc)).sum()
+    }
+
+    /// The arc that a leaf begins with, and its radius there: of a circle as long as its level set.
+    pub fn base_of(&self, leaf: &[u32]) -> Option<(u32, f64)> {
+        leaf.last().map(|&first| (first, self.graph.arcs[first as usize].base_length / TAU))
     }
 
     /// Radius of the widest branch that goes on upward beside a leaf.
@@ -37,9 +46,8 @@ impl Pruning<'_> {
         /// Largest hole in a wall, in radii of the vessel.
         const HOLE: f64 = 0.25;
         let beside = self.sibling_radius(base, arcs);
-        let Some(&first) = arcs.last() else { return false };
+        let Some((first, radius)) = self.base_of(arcs) else { return false };
         let first = &self.graph.arcs[first as usize];
-        let radius = first.base_length / TAU;
         let open = self.opening_at(leaf).filter(|opening| !opening.was_closed);
         // The vessel was cut here, however shortly; a small opening straight in the wall is a hole.
         if open.is_some_and(|opening| !beside.is_finite() || opening.radius >= HOLE * beside) {
@@ -148,12 +156,12 @@ impl Pruning<'_> {
         leaf: u32,
         (height, stays): (f64, bool),
     ) -> Option<ShortTip> {
-        let &first = arcs.last()?;
-        let ReebArc { base_length, base_edges: edges, .. } = self.graph.arcs[first as usize];
+        let (first, radius) = self.base_of(arcs)?;
+        let edges = self.graph.arcs[first as usize].base_edges;
         let ring = self.rings(first).next()?;
         // Of what few edges show nobody asks.
         let beside = if edges < EDGES { None } else { self.radius_beside(arcs, base, stays) };
-        Some(ShortTip { leaf, base: ring.centroid, radius: base_length / TAU, height, beside })
+        Some(ShortTip { leaf, base: ring.centroid, radius, height, beside })
     }
 
     /// The node, at or within `near` below `base`, where two fronts met, and the two arcs below it; `leaf` is not looked

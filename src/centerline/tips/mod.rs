@@ -215,7 +215,7 @@ impl Pruning<'_> {
             if self.degree(base) < 3 {
                 continue;
             }
-            let height: f64 = arcs.iter().map(|&arc| self.span(arc)).sum();
+            let height = self.rise(&arcs);
             if height > f64::from_bits(bits) {
                 // Its base moved down when a neighbour went: it is judged in its new turn.
                 queue.push(Reverse((height.to_bits(), index)));
@@ -235,7 +235,7 @@ impl Pruning<'_> {
     fn doubtful_tip(&self, arcs: &[u32], base: u32, leaf: u32, height: f64) -> Option<ShortTip> {
         /// Least height, in radii of the base.
         const DOUBT: f64 = 0.4;
-        let radius = self.graph.arcs[*arcs.last()? as usize].base_length / std::f64::consts::TAU;
+        let (_, radius) = self.base_of(arcs)?;
         if height > DOUBT * radius { self.short_tip(arcs, base, leaf, (height, false)) } else { None }
     }
 
@@ -247,9 +247,9 @@ impl Pruning<'_> {
         let leaves = nodes.filter(|&node| node != ROOT && self.degree(node) == 1);
         let low = leaves.filter_map(|leaf| {
             let (arcs, base) = self.leaf_chain(leaf)?;
-            let height: f64 = arcs.iter().map(|&arc| self.span(arc)).sum::<f64>() - self.rise_of_cap(leaf);
-            let first = &self.graph.arcs[*arcs.last()? as usize];
-            let is_low = self.degree(base) > 2 && height < LOW * first.base_length / std::f64::consts::TAU;
+            let height = self.rise(&arcs) - self.rise_of_cap(leaf);
+            let (_, radius) = self.base_of(&arcs)?;
+            let is_low = self.degree(base) > 2 && height < LOW * radius;
             if is_low { self.short_tip(&arcs, base, leaf, (height, true)) } else { None }
         });
         low.collect()

@@ -116,24 +116,39 @@ fn along_vessel(surface: &Surface, vertex: u32, radius: f64, outward: Vector3<f6
     const FREE: f64 = 0.7;
     /// Cosine of the most that `outward` may be turned.
     const TURN: f64 = 0.35;
-    let mut covariance = Matrix3::zeros();
     let tip = surface.mesh.vertices[vertex as usize];
     let is_near = |t: &u32| {
         surface.mesh.triangles[*t as usize]
             .iter()
             .any(|&v| (surface.mesh.vertices[v as usize] - tip).norm() < NEAR * radius)
     };
-    for t in connected(surface, vertex, |t| is_near(&t)) {
+    let around = connected(surface, vertex, |t| is_near(&t)).into_iter();
+    let axis = free_direction(surface, around, FREE).map(|axis| toward(axis, &outward));
+    axis.filter(|axis| axis.dot(&outward) > TURN).unwrap_or(outward)
+}
+
+/// The direction that the normals of triangles leave free (eq. 9); `None` where as much of them lies along it as the
+/// share `free` of what lies across it.
+pub fn free_direction(
+    surface: &Surface,
+    triangles: impl Iterator<Item = u32>,
+    free: f64,
+) -> Option<Vector3<f64>> {
+    let mut covariance = Matrix3::zeros();
+    for t in triangles {
         let area = surface.mesh.area_vector(t);
         covariance += area * area.transpose() / area.norm().max(f64::MIN_POSITIVE);
     }
     let eigen = covariance.symmetric_eigen();
     let least = eigen.eigenvalues.imin();
-    let axis: Vector3<f64> = eigen.eigenvectors.column(least).into();
     let others = (0..3).filter(|&i| i != least).map(|i| eigen.eigenvalues[i]);
-    let axis = if axis.dot(&outward) < 0.0 { -axis } else { axis };
-    let is_free = eigen.eigenvalues[least] < FREE * others.fold(f64::INFINITY, f64::min);
-    if is_free && axis.dot(&outward) > TURN { axis } else { outward }
+    let is_free = eigen.eigenvalues[least] < free * others.fold(f64::INFINITY, f64::min);
+    is_free.then(|| eigen.eigenvectors.column(least).into())
+}
+
+/// The axis, turned around where it points away from a direction.
+pub fn toward(axis: Vector3<f64>, direction: &Vector3<f64>) -> Vector3<f64> {
+    if axis.dot(direction) < 0.0 { -axis } else { axis }
 }
 
 /// The triangles that hang together with a vertex as far as they belong.

@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::mesh::preparation::Surface;
@@ -14,7 +14,7 @@ use crate::mesh::preparation::Surface;
 use super::front_lengths::{FrontLengths, Tube};
 use super::geodesic::{EdgeGraph, Near, geodesic_near};
 use super::reeb::ReebGraph;
-use super::root::{End, cap_of, short_end};
+use super::root::{End, cap_of, free_direction, short_end, toward};
 use super::{Branching, ShortTip};
 use crate::centerline::{CancelToken, ExtractError};
 
@@ -178,6 +178,8 @@ impl TipView {
 
     /// Where the tube may point: from its middle to its cap, and along the direction that its normals leave free.
     fn directions(&self, surface: &Surface) -> Vec<Vector3<f64>> {
+        /// Most of the normals that may lie along it, against across it.
+        const FREE: f64 = 0.5;
         let Stump { cap, base, radius, .. } = &self.stump;
         let mean = |of: &mut dyn Iterator<Item = u32>| {
             let sum = |(count, sum): (usize, Vector3<f64>), v: u32| {
@@ -191,26 +193,10 @@ impl TipView {
         let Some(away) = top.zip(middle).and_then(|(top, middle)| (top - middle).try_normalize(0.0)) else {
             return Vec::new();
         };
-        let turned = |axis: Vector3<f64>| if axis.dot(&away) < 0.0 { -axis } else { axis };
-        let axis = self.free_direction(surface, base.max(*radius)).map(turned);
+        let far = base.max(*radius);
+        let wall = self.between(0.05 * far..far).flat_map(|v| surface.corners.star(v)).map(|h| h / 3);
+        let axis = free_direction(surface, wall, FREE).map(|axis| toward(axis, &away));
         std::iter::once(away).chain(axis).collect()
-    }
-
-    /// The direction that the normals of the wall up to a distance from the cap leave free (eq. 9); `None` where they
-    /// leave none.
-    fn free_direction(&self, surface: &Surface, far: f64) -> Option<Vector3<f64>> {
-        /// Most of the normals that may lie along it, against across it.
-        const FREE: f64 = 0.5;
-        let mut covariance = Matrix3::zeros();
-        for h in self.between(0.05 * far..far).flat_map(|v| surface.corners.star(v)) {
-            let area = surface.mesh.area_vector(h / 3);
-            covariance += area * area.transpose() / area.norm().max(f64::MIN_POSITIVE);
-        }
-        let eigen = covariance.symmetric_eigen();
-        let least = eigen.eigenvalues.imin();
-        let others = (0..3).filter(|&i| i != least).map(|i| eigen.eigenvalues[i]);
-        let is_free = eigen.eigenvalues[least] < FREE * others.fold(f64::INFINITY, f64::min);
-        is_free.then(|| eigen.eigenvectors.column(least).into())
     }
 
     /// The vertex of the stump that lies farthest in a direction.
