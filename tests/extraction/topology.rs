@@ -84,3 +84,28 @@ fn several_short_closed_legs_are_branches_each() {
         has_its_legs(&legs, shift);
     }
 }
+
+/// Two voxels to a leg's radius: by how they fall it shows a corner alone, too little for a line. Then it is told.
+#[test]
+fn a_short_leg_on_coarse_voxels_is_a_branch_or_told() {
+    let (mut told, mut found) = (0, 0);
+    for (tip, radius) in [(3.0, 1.0), (2.7, 1.0), (3.6, 1.0), (2.98, 1.4), (3.19, 1.7)] {
+        for shift in [0.0, 0.11, 0.22, 0.33] {
+            let leg = (0.0, Point3::new(0.0, 0.0, tip), radius);
+            let line = line_of(&with_legs(&[leg], shift));
+            let (ends, _) = ends_and_junctions(&line.centerline);
+            let warning = line.warnings.iter().find(|warning| warning.code == "short-branch");
+            assert_eq!(ends, if warning.is_some() { 2 } else { 3 }, "{leg:?} {shift}: {:?}", line.warnings);
+            let Some(warning) = warning else {
+                found += 1;
+                continue;
+            };
+            let places = warning.detail.split(['[', ']']).nth(1).unwrap();
+            let place: Vec<f64> = places.split(", ").map(|number| number.parse().unwrap()).collect();
+            let away = (Point3::new(place[0], place[1], place[2]) - Point3::new(0.0, 0.0, tip)).norm();
+            assert!(away < 1.2 * radius, "{leg:?} {shift}: {}", warning.detail);
+            told += 1;
+        }
+    }
+    assert!(told > 0 && found > 0, "{told} told, {found} found");
+}

@@ -111,7 +111,7 @@ impl Pruning<'_> {
     ///
     /// A front climbs a wide sac while it passes it along the vessel, so that the leaf begins in the
     /// middle of the sac: its reach says little of its height, and its rise too.
-    fn over_vessel(&self, leaf: &[u32], base: u32, tip: u32, radius: f64) -> Option<(f64, f64)> {
+    pub fn over_vessel(&self, leaf: &[u32], base: u32, tip: u32, radius: f64) -> Option<(f64, f64)> {
         let narrowest = |upward: bool| {
             let rings = self.rings_beyond(base, self.widest_beside(leaf, base, upward)?, upward);
             rings.into_iter().min_by(|a, b| a.length.total_cmp(&b.length))
@@ -134,7 +134,7 @@ impl Pruning<'_> {
     /// Radius of the vessel that passes a leaf's base: of its wider side, and of the narrower where that goes on as a
     /// branch so thin that no front runs along both. Where the leaf `stays` it may be a sac, which the vessel's level sets
     /// climb as they pass: there the narrowest counts.
-    fn radius_beside(&self, leaf: &[u32], base: u32, stays: bool) -> Option<f64> {
+    pub fn radius_beside(&self, leaf: &[u32], base: u32, stays: bool) -> Option<f64> {
         /// Least radius of the narrower side against the wider.
         const THIN: f64 = 0.5;
         let side = |upward: bool| {
@@ -166,7 +166,7 @@ impl Pruning<'_> {
 
     /// The node, at or within `near` below `base`, where two fronts met, and the two arcs below it; `leaf` is not looked
     /// at. `None` where one front came alone.
-    fn met_below(&self, base: u32, leaf: &[u32], near: f64) -> Option<(u32, [u32; 2])> {
+    pub fn met_below(&self, base: u32, leaf: &[u32], near: f64) -> Option<(u32, [u32; 2])> {
         let level = |node: u32| self.graph.nodes[node as usize].level;
         let mut node = base;
         while level(base) - level(node) <= near {
@@ -182,7 +182,7 @@ impl Pruning<'_> {
 
     /// How far a tip lies outside the vessel along which two fronts met, from its wall: what both leave between them
     /// until the last is a leaf, however long it is around the vessel.
-    fn over_fronts(&self, (met, fronts): (u32, [u32; 2]), tip: u32) -> f64 {
+    pub fn over_fronts(&self, (met, fronts): (u32, [u32; 2]), tip: u32) -> f64 {
         let [mut line, other] = fronts.map(|arc| self.rings_beyond(met, arc, false));
         line.reverse();
         line.extend(other);

@@ -10,6 +10,7 @@ pub mod critical_points;
 mod front_lengths;
 pub mod geodesic;
 mod height;
+mod missed;
 pub mod picks;
 pub mod reeb;
 pub mod root;
@@ -24,6 +25,7 @@ use nalgebra::Point3;
 
 use crate::mesh::preparation::Surface;
 
+use crate::centerline::tips::missed::Missed;
 use crate::centerline::tips::picks::Pick;
 use crate::centerline::tips::reeb::ReebGraph;
 use crate::centerline::{CancelToken, ExtractError, Warning};
@@ -53,6 +55,8 @@ pub struct Branching {
     /// Leaves that stay and rise only a few radii: of a wide branch a front that came aslant may have left no more than
     /// a corner.
     pub low: Vec<ShortTip>,
+    /// Leaves that went and may be short branches all the same.
+    missed: Vec<Missed>,
     /// Reeb arcs of the ends that were excluded.
     pub excluded: Vec<u32>,
     /// Numbers of the excluded points that no end is near to.
@@ -136,6 +140,7 @@ struct Pruning<'a> {
     graph: &'a ReebGraph,
     alive: Vec<bool>,
     doubtful: Vec<ShortTip>,
+    missed: Vec<Missed>,
     /// Arcs at each node, dead ones included.
     at_node: Vec<Vec<u32>>,
 }
@@ -157,14 +162,15 @@ pub fn chains(
         at_node[arc.upper as usize].push(index as u32);
     }
     let alive = vec![true; graph.arcs.len()];
-    let mut pruning = Pruning { surface, graph, alive, doubtful: Vec::new(), at_node };
+    let mut pruning = Pruning { surface, graph, alive, doubtful: Vec::new(), missed: Vec::new(), at_node };
     pruning.prune_leaves(choice, cancel)?;
     if !choice.keeps_root && !choice.kept.contains(&graph.nodes[0].vertex) {
         pruning.prune_root(choice.tip_height);
     }
     let (excluded, idle) = pruning.exclude(choice.excluded);
     let (chains, low) = (pruning.chains(), pruning.low());
-    Ok(Branching { chains, low, doubtful: pruning.doubtful, excluded, idle, raised: Vec::new() })
+    let Pruning { doubtful, missed, .. } = pruning;
+    Ok(Branching { chains, low, doubtful, missed, excluded, idle, raised: Vec::new() })
 }
 
 impl Pruning<'_> {
@@ -223,8 +229,11 @@ impl Pruning<'_> {
             }
             let kept = choice.kept.contains(&self.graph.nodes[leaf as usize].vertex);
             if !kept && !self.stands_out(&arcs, base, leaf, height, choice.tip_height) {
-                let doubtful = self.doubtful_tip(&arcs, base, leaf, height - self.rise_of_cap(leaf));
+                let height = height - self.rise_of_cap(leaf);
+                let doubtful = self.doubtful_tip(&arcs, base, leaf, height);
                 self.doubtful.extend(doubtful);
+                let missed = self.missed(&arcs, base, leaf, height, choice);
+                self.missed.extend(missed);
                 arcs.iter().for_each(|&arc| self.alive[arc as usize] = false);
             }
         }

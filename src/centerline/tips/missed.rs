@@ -1,0 +1,91 @@
+//! Short branches that may have been taken for bumps.
+//!
+//! Where a front hides a short branch (see [`super::stumps`]) and one from its tip shows no tube either, as on coarse or
+//! noisy walls, a corner is left that rises too little to be an end, and a line from so little would run beside the
+//! branch. But it stands over its vessel as no bump does: there the user is told to look.
+
+use super::reeb::ReebGraph;
+use super::{Branching, Choice, Pruning};
+use crate::centerline::Warning;
+use crate::mesh::preparation::Surface;
+
+/// A leaf that went although it stands high over its vessel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Missed {
+    /// The leaf's Reeb node.
+    leaf: u32,
+    /// How far it stands over the vessel's wall, in radii of its base or of the vessel, whichever is smaller.
+    over: f64,
+}
+
+impl Pruning<'_> {
+    /// A leaf that goes and rises by `height`, where it may be a branch.
+    pub fn missed(
+        &self,
+        arcs: &[u32],
+        base: u32,
+        leaf: u32,
+        height: f64,
+        choice: &Choice<'_>,
+    ) -> Option<Missed> {
+        /// Fewest edges that its base crosses: where it has fewer, noise is as high.
+        const EDGES: u32 = 18;
+        /// Least rise, in radii of its base.
+        const RISE: f64 = 0.25;
+        /// Radii that its base may have, in those of the vessel: of a bump as high as it is wide the corner is thinner, and
+        /// what is wider lies where fronts meet.
+        const WIDTHS: std::ops::Range<f64> = 0.25..1.0;
+        /// Least height over the vessel against that of an end.
+        const HIGH: f64 = 1.3;
+        let (first, radius) = self.base_of(arcs)?;
+        if self.graph.arcs[first as usize].base_edges < EDGES || height < RISE * radius {
+            return None;
+        }
+        let beside = self.radius_beside(arcs, base, false)?;
+        if !WIDTHS.contains(&(radius / beside)) {
+            return None;
+        }
+        let (over, least) = match self.met_below(base, arcs, radius) {
+            Some(met) => (self.over_fronts(met, leaf), radius),
+            None => self.over_vessel(arcs, base, leaf, radius)?,
+        };
+        // What stands higher than a base so wide lets it stands over another vessel.
+        let is_own = over <= height + 2.0 * radius;
+        let is_high = over >= HIGH * choice.tip_height * least;
+        (is_own && is_high && !self.is_excluded(leaf, choice)).then_some(Missed { leaf, over: over / least })
+    }
+
+    /// Whether the user said that there is no end near a leaf.
+    fn is_excluded(&self, leaf: u32, choice: &Choice<'_>) -> bool {
+        /// Reach of a point, in shares of the surface's diagonal.
+        const REACH: f64 = 0.05;
+        let far = REACH * self.surface.diagonal();
+        let place = |vertex: u32| self.surface.mesh.vertices[vertex as usize];
+        choice.excluded.iter().any(|pick| (place(pick.vertex) - self.position(leaf)).norm() < far)
+    }
+}
+
+impl Branching {
+    /// A warning where short branches may be missing, with the places of the highest.
+    pub fn missed_warning(&self, surface: &Surface, graph: &ReebGraph) -> Option<Warning> {
+        /// So many are told one by one.
+        const TOLD: usize = 8;
+        let mut missed = self.missed.clone();
+        missed.sort_by(|a, b| b.over.total_cmp(&a.over).then(a.leaf.cmp(&b.leaf)));
+        let highest = missed.first()?.over;
+        let place = |missed: &Missed| {
+            let place = surface.mesh.vertices[graph.nodes[missed.leaf as usize].vertex as usize];
+            format!("[{:.4}, {:.4}, {:.4}]", place.x, place.y, place.z)
+        };
+        let places: Vec<String> = missed.iter().take(TOLD).map(place).collect();
+        Some(Warning {
+            code: "short-branch",
+            detail: format!(
+                "{} places stand up to {highest:.1} of their radii over their vessel and were taken for bumps, the highest \
+                 near {}: short branches may be missing there; a point in include makes one an end",
+                missed.len(),
+                places.join(", ")
+            ),
+        })
+    }
+}
