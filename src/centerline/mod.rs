@@ -34,6 +34,8 @@ mod tips;
 mod traced_line;
 mod triangle_grid;
 
+use std::ops::RangeInclusive;
+
 pub use control::{CancelToken, Control, Part, Progress, Stage};
 pub use error::ExtractError;
 pub use graph::{Branch, Centerline, Extraction, Node, NodeKind, SurfaceSummary, Warning};
@@ -55,6 +57,10 @@ use tips::picks::{self, Picks};
 use traced_line::{TracedLine, traced};
 use triangle_grid::TriangleGrid;
 
+/// Diagonals, in the input's unit, of surfaces that can be reckoned with: lengths are kept in single precision on the way,
+/// squares in double.
+pub const DIAGONALS: RangeInclusive<f64> = 1e-30..=1e30;
+
 /// A component smaller than this share of the largest one's diagonal is a speck of the segmentation.
 const SPECK: f64 = 0.02;
 
@@ -73,8 +79,7 @@ pub fn extract(
     let mut prepared = prepare_while(mesh, || control.cancel.check())?;
     control.report(Stage::Preparation, 1.0)?;
     let diagonal = prepared.report.diagonal;
-    // Lengths are kept in single precision on the way, squares in double.
-    if !(1e-30..=1e30).contains(&diagonal) {
+    if !DIAGONALS.contains(&diagonal) {
         return Err(ExtractError::OutOfScale { diagonal });
     }
     let mut extraction = Extraction { surface: summary(&prepared), ..Extraction::default() };

@@ -1,7 +1,7 @@
 //! The connections: accepted, given to the router, and cut when their client stands still.
 
 use std::io;
-use std::pin::pin;
+use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -13,6 +13,7 @@ use hyper_util::service::TowerToHyperService;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::JoinSet;
+use tokio_io_timeout::TimeoutStream;
 use tokio_rustls::server::TlsStream;
 use tokio_util::sync::CancellationToken;
 use tower_http::add_extension::AddExtension;
@@ -26,8 +27,8 @@ const MOST_PLAIN: usize = 1 << 20;
 /// Serves every connection until `closing`, then those that are open until they have answered.
 ///
 /// `axum::serve` does the same without a limit to the time that a request's head may take (`head`); that time
-/// also ends connections that are kept open for a next request that does not come, and TLS handshakes that are not
-/// whole. Dropping the future cuts what is open.
+/// also ends connections that are kept open for a next request that does not come, TLS handshakes that are not
+/// whole, and answers of which nothing is read. Dropping the future cuts what is open.
 pub(super) async fn serve(
     mut listener: TcpListener,
     tls: Option<Arc<Tls>>,
@@ -47,10 +48,10 @@ pub(super) async fn serve(
                     // Small answers should not wait for more; a socket that cannot be set works all the same.
                     let _ = socket.set_nodelay(true);
                     match tls {
-                        None => converse(http, socket, peer, router, closing).await,
+                        None => converse(http, unless_stuck(socket, head), peer, router, closing).await,
                         Some(tls) => {
                             if let Some(stream) = greet(&tls, socket, head).await {
-                                converse(http, stream, peer, router, closing).await;
+                                converse(http, unless_stuck(stream, head), peer, router, closing).await;
                             }
                         }
                     }
@@ -112,6 +113,16 @@ async fn refuse(socket: &mut TcpStream) -> io::Result<()> {
         }
     }
     Ok(())
+}
+
+/// A stream that fails once nothing that is written to it has been taken for so long: the client does not read its answer.
+fn unless_stuck<Stream: AsyncRead + AsyncWrite>(
+    stream: Stream,
+    limit: Duration,
+) -> Pin<Box<TimeoutStream<Stream>>> {
+    let mut stream = TimeoutStream::new(stream);
+    stream.set_write_timeout(Some(limit));
+    Box::pin(stream)
 }
 
 /// Answers one client's requests.

@@ -10,12 +10,13 @@ use super::idempotency::IDEMPOTENCY_KEY;
 use super::operations::events::LAST_EVENT_ID;
 use super::operations::submit::REQUEST_ID;
 use super::prefer::{PREFER, PREFERENCE_APPLIED};
+use crate::jobs::TRACEPARENT;
 
 /// How long a browser may keep the answer to a preflight; Chromium caps it at two hours.
 const PREFLIGHT_AGE: Duration = Duration::from_secs(2 * 60 * 60);
 
 /// The request headers that the API reads, beside those that Fetch always allows.
-pub const REQUEST_HEADERS: [HeaderName; 12] = [
+pub const REQUEST_HEADERS: [HeaderName; 13] = [
     header::ACCEPT,
     header::AUTHORIZATION,
     header::CONTENT_TYPE,
@@ -28,6 +29,7 @@ pub const REQUEST_HEADERS: [HeaderName; 12] = [
     IDEMPOTENCY_KEY,
     PREFER,
     REQUEST_ID,
+    HeaderName::from_static(TRACEPARENT),
 ];
 
 /// The response headers that a script may read, beside those that Fetch always exposes.

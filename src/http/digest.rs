@@ -15,9 +15,10 @@ pub const CONTENT_DIGEST: HeaderName = HeaderName::from_static("content-digest")
 /// 400 when the header's SHA-256 is none.
 pub fn sha256(headers: &HeaderMap) -> Result<Option<String>, Problem> {
     let lists = headers.get_all(&CONTENT_DIGEST).iter().filter_map(|value| value.to_str().ok());
-    let mut members =
-        lists.flat_map(|list| list.split(',')).filter_map(|member| member.trim().split_once('='));
-    let Some((_, value)) = members.find(|(name, _)| *name == "sha-256") else { return Ok(None) };
+    let members = lists.flat_map(|list| list.split(',')).filter_map(|member| member.trim().split_once('='));
+    // Of one name the last counts, and parameters may follow a value (RFC 8941, sections 4.2.2 and 3.1.2).
+    let Some((_, value)) = members.filter(|(name, _)| *name == "sha-256").last() else { return Ok(None) };
+    let value = value.split(';').next().unwrap_or_default().trim_end();
     let text = value.strip_prefix(':').and_then(|value| value.strip_suffix(':'));
     match text.and_then(|text| STANDARD.decode(text).ok()) {
         Some(bytes) if bytes.len() == 32 => {
@@ -56,6 +57,9 @@ mod tests {
         );
         assert_eq!(read(&format!("sha-256=:{base64}:")).unwrap().as_deref(), Some(hex));
         assert_eq!(read(&format!("sha-512=:AAAA:, sha-256=:{base64}:")).unwrap().as_deref(), Some(hex));
+        assert_eq!(read(&format!("sha-256=:{base64}:;a=1")).unwrap().as_deref(), Some(hex));
+        assert_eq!(read(&format!("sha-256=:AAAA:, sha-256=:{base64}:")).unwrap().as_deref(), Some(hex));
+        assert!(read(&format!("sha-256=:{base64}:, sha-256=:AAAA:")).is_err());
         assert_eq!(read("sha-512=:AAAA:").unwrap(), None);
         assert_eq!(sha256(&HeaderMap::new()).unwrap(), None);
         for value in ["sha-256=:AAAA:".to_owned(), format!("sha-256={base64}"), "sha-256=::".to_owned()] {

@@ -21,11 +21,9 @@ impl ETag {
 
     /// Whether `If-None-Match` names this tag (by weak comparison) or any.
     pub fn is_known_to(&self, headers: &HeaderMap) -> bool {
-        let lists = headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok());
+        let mut lists = headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok());
         lists
-            .flat_map(|list| list.split(','))
-            .map(str::trim)
-            .any(|tag| tag == "*" || tag.strip_prefix("W/").unwrap_or(tag) == self.0)
+            .any(|list| is_any(list) || tags(list).any(|tag| tag.strip_prefix("W/").unwrap_or(tag) == self.0))
     }
 
     /// Whether `If-Match` allows the request: there is none, or it names this tag (by strong comparison) or any.
@@ -33,9 +31,8 @@ impl ETag {
         let mut lists = headers.get_all(header::IF_MATCH).iter().peekable();
         lists.peek().is_none()
             || lists
-                .flat_map(|list| list.to_str().unwrap_or_default().split(','))
-                .map(str::trim)
-                .any(|tag| tag == "*" || tag == self.0)
+                .filter_map(|list| list.to_str().ok())
+                .any(|list| is_any(list) || tags(list).any(|tag| tag == self.0))
     }
 
     /// Whether a `Range` applies: there is no `If-Range`, or it names this tag (by strong comparison).
@@ -44,6 +41,21 @@ impl ETag {
     pub fn allows_range(&self, headers: &HeaderMap) -> bool {
         headers.get(header::IF_RANGE).is_none_or(|value| value.as_bytes() == self.0.as_bytes())
     }
+}
+
+/// Whether a list is the one star that stands for every tag.
+fn is_any(list: &str) -> bool {
+    list.trim() == "*"
+}
+
+/// The members of a list; a comma between quotes belongs to its tag.
+fn tags(list: &str) -> impl Iterator<Item = &str> {
+    let mut is_quoted = false;
+    let ends = move |c: char| {
+        is_quoted ^= c == '"';
+        c == ',' && !is_quoted
+    };
+    list.split(ends).map(str::trim)
 }
 
 impl fmt::Display for ETag {
@@ -64,10 +76,10 @@ mod tests {
     fn if_none_match_compares_weakly() {
         let tag = ETag::of_digest("abc");
         assert!(!tag.is_known_to(&HeaderMap::new()));
-        for value in ["\"abc\"", "W/\"abc\"", "\"x\", \"abc\"", "*"] {
+        for value in ["\"abc\"", "W/\"abc\"", "\"x\", \"abc\"", "\"x,y\",\"abc\"", " * "] {
             assert!(tag.is_known_to(&headers(header::IF_NONE_MATCH, value)), "{value}");
         }
-        for value in ["abc", "\"abcd\"", "\"ABC\""] {
+        for value in ["abc", "\"abcd\"", "\"ABC\"", "\"a,*,b\"", "\"x\", *", "\"x,\"abc\"\""] {
             assert!(!tag.is_known_to(&headers(header::IF_NONE_MATCH, value)), "{value}");
         }
     }
@@ -79,7 +91,7 @@ mod tests {
         for value in ["\"abc\"", "\"x\", \"abc\"", "*"] {
             assert!(tag.allows(&headers(header::IF_MATCH, value)), "{value}");
         }
-        for value in ["W/\"abc\"", "\"x\"", "abc", ""] {
+        for value in ["W/\"abc\"", "\"x\"", "abc", "", "\"a,*,b\"", "*, \"x\""] {
             assert!(!tag.allows(&headers(header::IF_MATCH, value)), "{value}");
         }
     }

@@ -3,6 +3,7 @@
 use serde::Serialize;
 use utoipa::ToSchema;
 
+use crate::centerline::DIAGONALS;
 use crate::mesh::TriangleMesh;
 use crate::mesh::format::Format;
 use crate::mesh::preparation::{PreparationError, PreparationReport, Prepared, Sites, Surface, prepare};
@@ -59,7 +60,11 @@ impl Inspection {
     pub(super) fn new(mesh: &TriangleMesh, format: Format, sha256: &str, bytes: u64) -> Self {
         let prepared = prepare(mesh);
         let (acceptable, defects) = match &prepared {
-            Ok(prepared) => (true, repaired(&prepared.report)),
+            Ok(prepared) => {
+                let fits = DIAGONALS.contains(&prepared.report.diagonal);
+                let out = (!fits).then(|| out_of_scale(mesh.vertices.len()));
+                (fits, repaired(&prepared.report).into_iter().chain(out).collect())
+            }
             Err(error) => (false, vec![fatal(error)]),
         };
         let Prepared { components, report } = prepared.unwrap_or_default();
@@ -125,6 +130,18 @@ fn repaired(report: &PreparationReport) -> Vec<Defect> {
     });
     defects.retain(|defect| defect.count > 0);
     defects
+}
+
+/// What a job fails with before it looks for a line.
+fn out_of_scale(vertices: usize) -> Defect {
+    Defect {
+        code: "out-of-scale",
+        count: vertices,
+        of: "vertex",
+        indices: Vec::new(),
+        repaired: false,
+        detail: "the surface's diagonal is out of 1e-30 to 1e30; scale the mesh",
+    }
 }
 
 /// What a job would fail with.

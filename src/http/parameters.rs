@@ -44,6 +44,10 @@ impl Asked {
     /// A 400 that names the parameter: unknown, given twice, or with a value that it cannot take.
     pub fn from_pairs(pairs: &[(String, String)], limits: &Limits) -> Result<Self, Problem> {
         for (place, (name, _)) in pairs.iter().enumerate() {
+            // First of all: of names that are known, there are not many before one comes twice.
+            if !names().any(|known| known == name) {
+                return Err(unknown(name));
+            }
             let is_list = POINTS.iter().any(|spec| spec.name == name && spec.most > 1);
             if !is_list && pairs[..place].iter().any(|(other, _)| other == name) {
                 return Err(invalid(name, format!("{name} is given twice; give it once")));
@@ -220,12 +224,14 @@ fn wrong_type(name: &str, expected: &str) -> Problem {
     invalid(name, format!("in JSON, {name} is {expected}"))
 }
 
+/// All that there are.
+fn names() -> impl Iterator<Item = &'static str> {
+    let (rows, points) = (TABLE.iter().map(|spec| spec.name), POINTS.iter().map(|spec| spec.name));
+    OTHERS.into_iter().chain(rows).chain(points)
+}
+
 fn unknown(name: &str) -> Problem {
-    let known: Vec<&str> = OTHERS
-        .into_iter()
-        .chain(TABLE.iter().map(|spec| spec.name))
-        .chain(POINTS.iter().map(|spec| spec.name))
-        .collect();
+    let known: Vec<&str> = names().collect();
     let detail = format!("there is no parameter '{}'; the known ones are {}", shown(name), known.join(", "));
     Problem::new(&UNKNOWN_PARAMETER, detail).with("parameter", shown(name))
 }
@@ -255,6 +261,7 @@ mod tests {
     fn refusals_name_the_parameter() {
         for (list, kind, name) in [
             (vec![("omgea", "0.8")], "unknown-parameter", "omgea"),
+            (vec![("omgea", "0.8"), ("omgea", "0.8")], "unknown-parameter", "omgea"),
             (vec![("omega", "7")], "invalid-parameter", "omega"),
             (vec![("omega", "NaN")], "invalid-parameter", "omega"),
             (vec![("units", "furlong")], "invalid-parameter", "units"),

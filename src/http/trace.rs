@@ -6,6 +6,7 @@ use axum::extract::{MatchedPath, Request, State};
 use axum::http::Method;
 use axum::middleware::Next;
 use axum::response::Response;
+use percent_encoding::percent_decode_str;
 
 use super::counters::Counters;
 use crate::jobs::{JobId, Span, SpanKind, Spans, TRACEPARENT};
@@ -73,7 +74,28 @@ fn method(method: &Method) -> &'static str {
     }
 }
 
-/// Only what is a well-formed id.
+/// Only what is a well-formed id, as the routes read it: its characters may be written by their percent codes
+/// (RFC 3986, section 6.2.2.2).
 pub(super) fn job_in_path(path: &str) -> Option<JobId> {
-    path.strip_prefix("/v1/jobs/")?.split('/').next()?.parse().ok()
+    let id = path.strip_prefix("/v1/jobs/")?.split('/').next()?;
+    percent_decode_str(id).decode_utf8().ok()?.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_id_is_the_same_however_it_is_spelled() {
+        let id: JobId = "019aa8b6-7a42-7d52-8d53-2f8ad3a2b9c1".parse().unwrap();
+        for path in [
+            "/v1/jobs/019aa8b6-7a42-7d52-8d53-2f8ad3a2b9c1",
+            "/v1/jobs/%3019aa8b6%2d7a42-7d52-8d53-2f8ad3a2b9c1/results/centerline",
+        ] {
+            assert_eq!(job_in_path(path), Some(id), "{path}");
+        }
+        for path in ["/v1/jobs", "/v1/jobs/%ff", "/v1/jobs/patient", "/v1/limits"] {
+            assert_eq!(job_in_path(path), None, "{path}");
+        }
+    }
 }

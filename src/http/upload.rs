@@ -8,7 +8,9 @@ use axum::extract::Request;
 use axum::http::{HeaderMap, header};
 
 use super::parameters::{Asked, query_pairs};
-use super::problem::{Problem, UNSUPPORTED_CODING, UNSUPPORTED_MEDIA_TYPE, UPLOAD_TOO_LARGE};
+use super::problem::{
+    Problem, UNSUPPORTED_CODING, UNSUPPORTED_MEDIA_TYPE, UNSUPPORTED_TRANSFER, UPLOAD_TOO_LARGE,
+};
 use super::{App, digest};
 use crate::jobs::{FormatHint, Upload};
 
@@ -37,10 +39,11 @@ pub struct Received {
 /// Streams the request's mesh to disk.
 ///
 /// # Errors
-/// 400, 408, 413 or 415, before or while the body comes in; nothing of it is kept then.
+/// 400, 408, 413, 415 or 501, before or while the body comes in; nothing of it is kept then.
 pub async fn receive(app: &App, request: Request) -> Result<Received, Problem> {
     let content_type = content_type(request.headers())?;
     refuse_coding(request.headers())?;
+    refuse_transfer(request.headers())?;
     let query = query_pairs(request.uri())?;
     // Refuses a wrong query before the body is read.
     Asked::from_pairs(&query, app.limits())?;
@@ -88,6 +91,23 @@ fn refuse_coding(headers: &HeaderMap) -> Result<(), Problem> {
     }
     let detail = "a compressed body is not read; send the mesh as it is, without Content-Encoding";
     Err(Problem::new(&UNSUPPORTED_CODING, detail).header(header::ACCEPT_ENCODING, "identity"))
+}
+
+/// Refuses every transfer coding but one `chunked`: where a proxy reads others, it may see the body end elsewhere (RFC 9112,
+/// section 6.1).
+fn refuse_transfer(headers: &HeaderMap) -> Result<(), Problem> {
+    let mut codings = headers.get_all(header::TRANSFER_ENCODING).iter();
+    let is_read = match (codings.next(), codings.next()) {
+        (None, _) => true,
+        (Some(coding), None) => coding.as_bytes().trim_ascii().eq_ignore_ascii_case(b"chunked"),
+        (Some(_), Some(_)) => false,
+    };
+    if is_read {
+        return Ok(());
+    }
+    let detail =
+        "of transfer codings one chunked is read; send the mesh as it is, with Content-Length or chunked";
+    Err(Problem::new(&UNSUPPORTED_TRANSFER, detail))
 }
 
 /// Refuses what declares itself too large, before any of it is read.

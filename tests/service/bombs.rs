@@ -1,6 +1,7 @@
 //! Uploads that unpack to far more than they are.
 
-use std::io::Write;
+use std::io::{Read, Write};
+use std::net::TcpStream;
 
 use flate2::Compression;
 use flate2::write::{GzEncoder, ZlibEncoder};
@@ -78,6 +79,30 @@ async fn a_compressed_body_is_refused_with_what_to_send() {
     let plain =
         service.post("/v1/jobs").header("content-type", "model/stl").header("content-encoding", "identity");
     assert_eq!(plain.body(meshes::small()).send().await.unwrap().status(), 201);
+}
+
+/// RFC 9112, section 6.1.
+#[tokio::test]
+async fn of_transfer_codings_one_chunked_is_read() {
+    let service = Service::start(&[]);
+    let mesh = meshes::small();
+    let answer = |codings: &[&str]| {
+        let fields: String =
+            codings.iter().map(|coding| format!("Transfer-Encoding: {coding}\r\n")).collect();
+        let head = "POST /v1/jobs HTTP/1.1\r\nHost: x\r\nConnection: close\r\nContent-Type: model/stl\r\n";
+        let begin = format!("{head}{fields}\r\n{:x}\r\n", mesh.len());
+        let mut stream = TcpStream::connect(service.address()).unwrap();
+        stream.write_all(&[begin.as_bytes(), &mesh, b"\r\n0\r\n\r\n"].concat()).unwrap();
+        let mut text = String::new();
+        stream.read_to_string(&mut text).unwrap();
+        text
+    };
+    for codings in [&["gzip, chunked"][..], &["chunked", "chunked"], &["gzip", "chunked"], &["x, chunked"]] {
+        let text = answer(codings);
+        let is_refused = text.starts_with("HTTP/1.1 501 ") && text.contains("problem:unsupported-transfer");
+        assert!(is_refused, "{codings:?}: {text}");
+    }
+    assert!(answer(&["Chunked"]).starts_with("HTTP/1.1 201 "));
 }
 
 #[tokio::test]

@@ -53,6 +53,11 @@ async fn every_defect_is_named_with_its_count_and_places_and_no_job_is_made() {
     assert!(found.contains(&("duplicate-triangles", 1, vec![304])), "{body}");
     assert!(found.contains(&("flipped-triangles", 40, (100..124).collect())), "{body}");
 
+    let mut tiny = sound.clone();
+    tiny.vertices.iter_mut().for_each(|vertex| *vertex *= 1e-36);
+    let body = inspect(&service, meshes::stl(&tiny)).await;
+    assert_eq!((&body["acceptable"], defects(&body)), (&json!(false), vec![("out-of-scale", 160, vec![])]));
+
     let flat = TriangleMesh { triangles: vec![[0, 0, 1]], ..sound };
     let body = inspect(&service, meshes::stl(&flat)).await;
     assert_eq!(

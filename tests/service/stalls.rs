@@ -102,3 +102,26 @@ async fn a_client_that_waits_for_its_answer_is_not_cut() {
         service.delete(&job).send().await.unwrap();
     }
 }
+
+#[tokio::test]
+async fn a_client_that_does_not_read_its_answers_is_cut() {
+    const ASKED: usize = 400;
+    let service = Service::start(&LIMITS);
+    let document = service.get("/openapi.yaml").send().await.unwrap().text().await.unwrap();
+    let ask = |count: usize| {
+        let mut stream = TcpStream::connect(service.address()).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        stream.write_all("GET /openapi.yaml HTTP/1.1\r\nHost: x\r\n\r\n".repeat(count).as_bytes()).unwrap();
+        stream
+    };
+    let mut idle = ask(ASKED);
+    std::thread::sleep(Duration::from_secs(4));
+    let mut read = Vec::new();
+    // Reset, or ended: more than the sockets hold was not sent.
+    let _ = idle.read_to_end(&mut read);
+    assert!(read.len() < ASKED * document.len() / 2, "{} bytes came", read.len());
+    // One that reads gets all.
+    let mut read = Vec::new();
+    ask(20).read_to_end(&mut read).unwrap();
+    assert!(read.len() > 20 * document.len());
+}

@@ -40,7 +40,10 @@ async fn who_did_what_to_which_job_is_told_and_stays_told() {
     let job = service.accepted("?name=doe.stl", meshes::small()).await;
     service.ended(&job).await;
     service.submit("?name=doe.stl", b"\x89PNG\r\n\x1a\n".to_vec()).await;
-    service.get(&format!("{job}/results/centerline")).send().await.unwrap();
+    // The same job, its id spelled otherwise.
+    let spelled = job.replacen("/0", "/%30", 1);
+    let result = service.get(&format!("{spelled}/results/centerline")).send().await.unwrap();
+    assert_eq!(result.status(), 200);
     service.get("/v1/jobs").send().await.unwrap();
     service.post(&format!("{job}/retry")).send().await.unwrap();
     let first = trail(&service);

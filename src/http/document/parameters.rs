@@ -11,7 +11,7 @@ use super::super::limits::Limits;
 use super::super::parameters::{CLIENT_REFERENCE, DRY_RUN, NAME, PRESET, PRIORITY, UNITS};
 use super::super::prefer::PREFER;
 use crate::centerline::{FARTHEST, POINTS, ParameterKind, ParameterSpec, PointsSpec, Preset, TABLE};
-use crate::jobs::{JobStatus, Priority};
+use crate::jobs::{JobStatus, Priority, TRACEPARENT};
 use crate::mesh::Units;
 use crate::output::OutputFormat;
 
@@ -62,6 +62,12 @@ parameters! {
             "Comes back in the job's status, where it has 1 to 128 visible ASCII characters",
             text(),
             json!("pacs-4711"),
+        ),
+        header(
+            TRACEPARENT,
+            "Where the operator has traces on, the job's belong to this one (W3C Trace Context, section 3.2)",
+            text(),
+            json!("00-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01"),
         ),
     ];
     PreferHeader => vec![header(

@@ -42,6 +42,7 @@ kinds! {
     UNSUPPORTED_MEDIA_TYPE = UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type",
         "The content type is not one that jobs are made from";
     UNSUPPORTED_CODING = UNSUPPORTED_MEDIA_TYPE, "unsupported-coding", "The body came compressed";
+    UNSUPPORTED_TRANSFER = NOT_IMPLEMENTED, "unsupported-transfer", "The body came in a transfer coding that is not read";
     PRECONDITION_FAILED = PRECONDITION_FAILED, "precondition-failed",
         "The job or its result is not in the state that the request is for";
     RANGE_NOT_SATISFIABLE = RANGE_NOT_SATISFIABLE, "range-not-satisfiable",
