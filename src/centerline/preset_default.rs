@@ -95,7 +95,8 @@ fn connect(
     let mut result = network.connect();
     result.warnings.extend(unsupported::check(&network));
     result.warnings.extend(branching.warning());
-    result.warnings.extend(branching.missed_warning(surface, graph));
+    let missed = branching.missed_warning(surface, graph, &result);
+    result.warnings.extend(missed);
     refuse_blob(surface, &result)?;
     control.report(Stage::Connection, 1.0)?;
     Ok(result)

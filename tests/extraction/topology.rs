@@ -5,7 +5,7 @@ use rosaline::mesh::TriangleMesh;
 use rosaline::phantom::{Kind, Settings, generate};
 
 use crate::lines::{ends_and_junctions, line_of, parts_and_loops};
-use crate::surfaces::{from_segment, implicit};
+use crate::surfaces::{Ends, from_segment, implicit, sweep};
 
 /// Ends, joints, parts and loops are those of the known line, and the line is thin and without `not-thin`.
 fn check(kind: Kind, seed: u64, settings: &Settings) {
@@ -108,4 +108,45 @@ fn a_short_leg_on_coarse_voxels_is_a_branch_or_told() {
         }
     }
     assert!(told > 0 && found > 0, "{told} told, {found} found");
+}
+
+/// A U of two straight legs and half a circle, radius 1, with a throat some way behind the middle of the bend.
+fn bent_with_throat(bend: f64, depth: f64, width: f64, behind: f64) -> TriangleMesh {
+    const LEG: f64 = 8.0;
+    let turn = std::f64::consts::PI * bend;
+    let length = turn + 2.0 * LEG;
+    let axis = |share: f64| {
+        let along = share * length;
+        if along < LEG {
+            return Point3::new(-bend, 0.0, along - LEG);
+        }
+        if along > LEG + turn {
+            return Point3::new(bend, 0.0, LEG + turn - along);
+        }
+        let (sin, cos) = ((along - LEG) / bend).sin_cos();
+        Point3::new(-bend * cos, 0.0, bend * sin)
+    };
+    let section = |share: f64, angle: f64| {
+        let away = (share - 0.5) * length - behind;
+        let radius = 1.0 - depth * (-(away / width).powi(2)).exp();
+        [radius * angle.cos(), radius * angle.sin()]
+    };
+    sweep(axis, section, [500, 32], Ends::Flat)
+}
+
+/// The front comes to the throat along the inside of the bend, and leaves a pocket of the outside in front of it for later:
+/// it was taken for a branch as high as the throat is wide, or for a short wide one.
+#[test]
+fn the_wall_in_front_of_a_throat_on_a_bend_is_no_branch() {
+    for (bend, depth, width, behind) in [
+        (3.0, 0.6, 0.3, 1.5),
+        (2.5, 0.6, 0.5, 0.0),
+        (2.0, 0.7, 0.5, 1.5),
+        (2.5, 0.7, 1.2, 3.0),
+        (4.0, 0.7, 0.5, 0.0),
+    ] {
+        let found = line_of(&bent_with_throat(bend, depth, width, behind));
+        let (ends, junctions) = ends_and_junctions(&found.centerline);
+        assert_eq!((ends, junctions), (2, 0), "{bend} {depth} {width} {behind}: {:?}", found.warnings);
+    }
 }

@@ -29,13 +29,20 @@ impl Pruning<'_> {
         leaf.last().map(|&first| (first, self.graph.arcs[first as usize].base_length / TAU))
     }
 
-    /// Radius of the widest branch that goes on upward beside a leaf.
-    fn sibling_radius(&self, base: u32, leaf: &[u32]) -> f64 {
-        let beside = self.alive_at(base).filter(|arc| !leaf.contains(arc));
-        let upward = beside.filter(|&arc| self.graph.arcs[arc as usize].lower == base);
-        let lengths = upward.map(|arc| self.graph.arcs[arc as usize].base_length);
-        let widest = lengths.fold(0.0, f64::max);
-        if widest > 0.0 { widest / TAU } else { f64::INFINITY }
+    /// Radius of the widest branch that goes on upward beside a leaf, whose own is `radius`. Where it begins narrower it may
+    /// be a throat, in front of which the front leaves a pocket of the wall for later: behind it the vessel is as wide as
+    /// before.
+    fn sibling_radius(&self, base: u32, leaf: &[u32], radius: f64) -> f64 {
+        /// Where to look behind a throat, in radii of the leaf.
+        const BEHIND: [f64; 4] = [1.0, 2.0, 3.0, 4.0];
+        let Some(arc) = self.widest_beside(leaf, base, true) else { return f64::INFINITY };
+        let first = self.graph.arcs[arc as usize].base_length / TAU;
+        if first >= radius {
+            return first;
+        }
+        let level = self.graph.nodes[base as usize].level;
+        let behind = BEHIND.iter().filter_map(|far| self.beyond(arc, level, far * radius));
+        behind.map(|ring| ring.area_radius()).fold(first, f64::max)
     }
 
     /// Whether a leaf is high enough over its base to be a branch; `height` is its rise of distance,
@@ -45,8 +52,8 @@ impl Pruning<'_> {
         const SAMPLES: f64 = 3.0;
         /// Largest hole in a wall, in radii of the vessel.
         const HOLE: f64 = 0.25;
-        let beside = self.sibling_radius(base, arcs);
         let Some((first, radius)) = self.base_of(arcs) else { return false };
+        let beside = self.sibling_radius(base, arcs, radius);
         let first = &self.graph.arcs[first as usize];
         let open = self.opening_at(leaf).filter(|opening| !opening.was_closed);
         // The vessel was cut here, however shortly; a small opening straight in the wall is a hole.
@@ -107,16 +114,20 @@ impl Pruning<'_> {
     }
 
     /// How far a tip lies outside the vessel that passes its base, from the vessel's wall, and the smaller of its base's
-    /// `radius` and the vessel's. The vessel's is that of its level sets' areas, which noise does not lengthen.
+    /// `radius` and the vessel's. The vessel's is that of its level sets' areas, which noise does not lengthen; its way
+    /// that between the nearest narrow ones on both sides, as it may bend.
     ///
     /// A front climbs a wide sac while it passes it along the vessel, so that the leaf begins in the
     /// middle of the sac: its reach says little of its height, and its rise too.
     pub fn over_vessel(&self, leaf: &[u32], base: u32, tip: u32, radius: f64) -> Option<(f64, f64)> {
-        let narrowest = |upward: bool| {
+        /// Most that a narrow one may be longer than the narrowest.
+        const NARROW: f64 = 1.1;
+        let narrow = |upward: bool| {
             let rings = self.rings_beyond(base, self.widest_beside(leaf, base, upward)?, upward);
-            rings.into_iter().min_by(|a, b| a.length.total_cmp(&b.length))
+            let least = rings.iter().map(|ring| ring.length).fold(f64::INFINITY, f64::min);
+            rings.into_iter().find(|ring| ring.length <= NARROW * least)
         };
-        let rings: Vec<LevelSet> = [false, true].iter().filter_map(|&upward| narrowest(upward)).collect();
+        let rings: Vec<LevelSet> = [false, true].iter().filter_map(|&upward| narrow(upward)).collect();
         let (a, b) = (rings.first()?, rings.last()?);
         let vessel = a.area_radius().max(b.area_radius());
         let over = from_segment(&self.position(tip), &a.centroid, &b.centroid) - vessel;
@@ -161,7 +172,9 @@ impl Pruning<'_> {
         let ring = self.rings(first).next()?;
         // Of what few edges show nobody asks.
         let beside = if edges < EDGES { None } else { self.radius_beside(arcs, base, stays) };
-        Some(ShortTip { leaf, base: ring.centroid, radius, height, beside })
+        let over =
+            self.over_vessel(arcs, base, leaf, radius).filter(|_| edges >= EDGES).map(|(over, _)| over);
+        Some(ShortTip { leaf, base: ring.centroid, radius, height, beside, over })
     }
 
     /// The node, at or within `near` below `base`, where two fronts met, and the two arcs below it; `leaf` is not looked

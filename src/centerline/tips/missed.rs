@@ -7,6 +7,8 @@
 use super::reeb::ReebGraph;
 use super::{Branching, Choice, Pruning};
 use crate::centerline::Warning;
+use crate::centerline::component::ComponentGraph;
+use crate::centerline::line_tree::LineTree;
 use crate::mesh::preparation::Surface;
 
 /// A leaf that went although it stands high over its vessel.
@@ -66,15 +68,28 @@ impl Pruning<'_> {
 }
 
 impl Branching {
-    /// A warning where short branches may be missing, with the places of the highest.
-    pub fn missed_warning(&self, surface: &Surface, graph: &ReebGraph) -> Option<Warning> {
+    /// A warning where short branches may be missing, with the places of the highest. What lies as near to the `line` as its
+    /// own wall is none, but the pocket of a wall in front of a throat.
+    pub fn missed_warning(
+        &self,
+        surface: &Surface,
+        graph: &ReebGraph,
+        line: &ComponentGraph,
+    ) -> Option<Warning> {
         /// So many are told one by one.
         const TOLD: usize = 8;
-        let mut missed = self.missed.clone();
+        /// Farthest that the line's own wall lies, in its radii.
+        const WALL: f64 = 1.35;
+        if self.missed.is_empty() {
+            return None;
+        }
+        let (mut missed, line) = (self.missed.clone(), LineTree::new(line));
+        let tip = |missed: &Missed| surface.mesh.vertices[graph.nodes[missed.leaf as usize].vertex as usize];
+        missed.retain(|missed| line.least_share(&tip(missed)) > WALL);
         missed.sort_by(|a, b| b.over.total_cmp(&a.over).then(a.leaf.cmp(&b.leaf)));
         let highest = missed.first()?.over;
         let place = |missed: &Missed| {
-            let place = surface.mesh.vertices[graph.nodes[missed.leaf as usize].vertex as usize];
+            let place = tip(missed);
             format!("[{:.4}, {:.4}, {:.4}]", place.x, place.y, place.z)
         };
         let places: Vec<String> = missed.iter().take(TOLD).map(place).collect();

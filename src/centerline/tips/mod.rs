@@ -132,6 +132,8 @@ pub struct ShortTip {
     pub beside: Option<f64>,
     /// Its rise over its base, that of a flat cap's middle left out.
     pub height: f64,
+    /// How far it lies outside that vessel, from its wall; `None` as above.
+    pub over: Option<f64>,
 }
 
 /// Which Reeb arcs remain after the leaves that are no tips were removed.

@@ -236,9 +236,14 @@ impl TipView {
     fn is_hidden(&self, tip: &ShortTip, stays: bool, tip_height: f64) -> bool {
         /// Most that a part rises, and least that it falls short of the whole, in radii: more is no corner.
         const PART: (f64, f64) = (3.0, 0.25);
+        /// Least of that height that it lies outside the vessel: the pocket of a wall in front of a throat lies within.
+        const OVER: f64 = 0.7;
         let Stump { base, radius, .. } = self.stump;
         let height = base + CAP * radius;
         let least = tip_height * tip.beside.map_or(radius, |beside| radius.min(beside));
-        height >= least && (!stays || tip.height < (PART.0 * radius).min(height - PART.1 * radius))
+        let is_outside = tip.over.is_none_or(|over| over >= OVER * least);
+        height >= least
+            && is_outside
+            && (!stays || tip.height < (PART.0 * radius).min(height - PART.1 * radius))
     }
 }
