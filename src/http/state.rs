@@ -10,7 +10,7 @@ use tokio_util::task::TaskTracker;
 use super::access::Gate;
 use super::admission::Shares;
 use super::audit::Trail;
-use super::counters::Counters;
+use super::counters::{Counters, LostLines};
 use super::idempotency::InFlight;
 use super::limits::Limits;
 use super::operations::health::Faults;
@@ -35,6 +35,7 @@ struct Inner {
     tls: Option<Arc<Tls>>,
     webhooks: Option<webhooks::Settings>,
     counters: Counters,
+    lost_lines: LostLines,
     faults: Faults,
     closing: CancellationToken,
     requests: TaskTracker,
@@ -52,6 +53,7 @@ impl App {
         trail: Option<Trail>,
         tls: Option<Tls>,
         webhooks: Option<webhooks::Settings>,
+        lost_lines: LostLines,
     ) -> Result<Self, ThreadPoolBuildError> {
         let validator = Validator::new(&limits)?;
         Ok(Self(Arc::new(Inner {
@@ -66,6 +68,7 @@ impl App {
             tls: tls.map(Arc::new),
             webhooks,
             counters: Counters::default(),
+            lost_lines,
             faults: Faults::default(),
             closing: CancellationToken::new(),
             requests: TaskTracker::new(),
@@ -109,6 +112,11 @@ impl App {
 
     pub(super) fn counters(&self) -> &Counters {
         &self.0.counters
+    }
+
+    /// What the log has lost.
+    pub(super) fn lost_lines(&self) -> &LostLines {
+        &self.0.lost_lines
     }
 
     /// What readiness has told the log of.
