@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use tokio::net::TcpListener;
 
-use super::{App, connections, router};
+use super::{App, audit, connections, router};
 
 /// How long open connections may take to end after the signal to stop, within the grace time.
 const CONNECTIONS_END: Duration = Duration::from_secs(10);
@@ -36,9 +36,13 @@ pub async fn serve(
         requests.close();
         requests.wait().await;
     });
+    tokio::spawn(audit::follow(app.clone(), closing.clone()));
     tokio::select! {
         () = stop => {}
-        ended = &mut server => return ended.map_err(io::Error::other),
+        ended = &mut server => {
+            audit::finish(&app).await;
+            return ended.map_err(io::Error::other);
+        }
     }
     let begin = Instant::now();
     app.jobs().drain();
@@ -47,6 +51,7 @@ pub async fn serve(
         tracing::warn!("connections and requests that did not end are cut");
         server.abort();
     }
+    audit::finish(&app).await;
     app.jobs().shutdown(grace.saturating_sub(begin.elapsed())).await;
     Ok(())
 }

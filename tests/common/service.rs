@@ -69,7 +69,9 @@ impl Service {
         let Some(line) = first_line(child.stdout.take().unwrap()) else {
             child.kill().ok();
             child.wait().ok();
-            collected.map(|collected| collected.join().unwrap());
+            if let Some(collected) = collected {
+                collected.join().unwrap();
+            }
             return Err(log.lock().unwrap().clone());
         };
         let url = line.trim().strip_prefix("listening on ").unwrap().to_owned();
