@@ -38,7 +38,7 @@ const DISK_REST: Duration = Duration::from_secs(2);
 /// How long such a thread may take to end when the service has ended.
 const DISK_END: Duration = Duration::from_secs(5);
 
-/// Serves until SIGTERM or SIGINT.
+/// Serves until SIGTERM, SIGINT or SIGHUP.
 ///
 /// # Errors
 /// The address is taken, the data folder cannot be used, or the threads cannot be started.
