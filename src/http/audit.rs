@@ -12,7 +12,7 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::net::IpAddr;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use axum::http::{Method, StatusCode};
@@ -23,7 +23,6 @@ use tokio_util::sync::CancellationToken;
 pub(super) use self::message::Occurrence;
 use self::message::{Act, of_sum};
 use self::refusals::{Refusals, Sender, Sum};
-use super::App;
 use crate::jobs::faults::{Operation, between};
 
 /// How long refusals are counted before those without a line of their own are told.
@@ -153,30 +152,30 @@ impl Trail {
 }
 
 /// Tells of summed up refusals at the end of each minute, until the service closes.
-pub(super) async fn follow(app: App, closing: CancellationToken) {
+pub(super) async fn follow(trail: Arc<Trail>, closing: CancellationToken) {
     loop {
         tokio::select! {
             () = tokio::time::sleep(LOOK) => {}
             () = closing.cancelled() => return,
         }
         // Most of the time there is nothing, and no thread is woken for it.
-        if app.trail().is_some_and(|trail| trail.refusals().is_due(Instant::now())) {
-            off_the_async_threads(&app, |trail| trail.tell_sums(Instant::now())).await;
+        if trail.refusals().is_due(Instant::now()) {
+            off_the_async_threads(&trail, |trail| trail.tell_sums(Instant::now())).await;
         }
     }
 }
 
 /// Tells what has not been told when nothing more comes.
-pub(super) async fn finish(app: &App) {
-    if tokio::time::timeout(LAST, off_the_async_threads(app, Trail::finish)).await.is_err() {
+pub(super) async fn finish(trail: Option<&Arc<Trail>>) {
+    let Some(trail) = trail else { return };
+    if tokio::time::timeout(LAST, off_the_async_threads(trail, Trail::finish)).await.is_err() {
         tracing::warn!("the audit trail cannot be added to in time: the last refusals may be missing");
     }
 }
 
-async fn off_the_async_threads(app: &App, action: impl FnOnce(&Trail) + Send + 'static) {
-    let app = app.clone();
-    let done = tokio::task::spawn_blocking(move || app.trail().map(action));
-    if let Err(error) = done.await {
+async fn off_the_async_threads(trail: &Arc<Trail>, action: impl FnOnce(&Trail) + Send + 'static) {
+    let trail = trail.clone();
+    if let Err(error) = tokio::task::spawn_blocking(move || action(&trail)).await {
         tracing::error!(%error, "the audit trail cannot be added to");
     }
 }
@@ -223,6 +222,13 @@ mod tests {
         text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
     }
 
+    /// Of how many requests a line tells.
+    fn count(line: &Value) -> u64 {
+        let details = line["ParticipantObjectIdentification"][0]["ParticipantObjectDetail"].as_array();
+        let count = details.and_then(|details| details.iter().find(|each| each["type"] == "Count"));
+        count.map_or(1, |count| count["value"].as_str().unwrap().parse().unwrap())
+    }
+
     #[test]
     fn a_trail_that_somebody_moves_or_removes_goes_on_under_its_name() {
         let dir = tempfile::tempdir().unwrap();
@@ -249,6 +255,26 @@ mod tests {
         assert_eq!(lines(&moved).len(), 3);
     }
 
+    #[tokio::test]
+    async fn the_sum_of_a_minute_is_told_when_it_ends_and_nothing_more_comes() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("audit.jsonl");
+        let trail = Arc::new(Trail::with_minute(&path, 1 << 20, LOOK / 2).unwrap());
+        let closing = CancellationToken::new();
+        let following = tokio::spawn(follow(trail.clone(), closing.clone()));
+        for _ in 0..1000 {
+            tell(&trail, Method::POST, "/v1/jobs", StatusCode::FORBIDDEN);
+        }
+        let begin = Instant::now();
+        while !trail.refusals().is_empty() {
+            assert!(begin.elapsed() < Duration::from_secs(60), "it is never told");
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+        closing.cancel();
+        following.await.unwrap();
+        assert_eq!(lines(&path).iter().map(count).sum::<u64>(), 1000);
+    }
+
     #[test]
     fn refusals_have_a_sum_and_what_was_let_in_has_lines() {
         let dir = tempfile::tempdir().unwrap();
@@ -267,14 +293,9 @@ mod tests {
         };
         assert_eq!(of("Import").len(), 100);
         let refused = of("Security Alert");
-        let count = |line: &&Value| {
-            let details = line["ParticipantObjectIdentification"][0]["ParticipantObjectDetail"].as_array();
-            let count = details.and_then(|details| details.iter().find(|each| each["type"] == "Count"));
-            count.map_or(1, |count| count["value"].as_str().unwrap().parse::<u64>().unwrap())
-        };
         // Some minutes may end in between.
         assert!(refused.len() < 100, "{}", refused.len());
-        assert_eq!(refused.iter().map(count).sum::<u64>(), 100);
+        assert_eq!(refused.iter().map(|line| count(line)).sum::<u64>(), 100);
         assert!(refused.iter().all(|line| line["ActiveParticipant"][0]["UserID"] == "pacs"));
     }
 

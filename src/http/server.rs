@@ -36,11 +36,14 @@ pub async fn serve(
         requests.close();
         requests.wait().await;
     });
-    tokio::spawn(audit::follow(app.clone(), closing.clone()));
+    let trail = app.trail().cloned();
+    if let Some(trail) = &trail {
+        tokio::spawn(audit::follow(trail.clone(), closing.clone()));
+    }
     tokio::select! {
         () = stop => {}
         ended = &mut server => {
-            audit::finish(&app).await;
+            audit::finish(trail.as_ref()).await;
             return ended.map_err(io::Error::other);
         }
     }
@@ -51,7 +54,7 @@ pub async fn serve(
         tracing::warn!("connections and requests that did not end are cut");
         server.abort();
     }
-    audit::finish(&app).await;
+    audit::finish(trail.as_ref()).await;
     app.jobs().shutdown(grace.saturating_sub(begin.elapsed())).await;
     Ok(())
 }

@@ -31,7 +31,7 @@ struct Inner {
     uploads: Arc<Semaphore>,
     shares: Shares,
     gate: Option<Gate>,
-    trail: Option<Trail>,
+    trail: Option<Arc<Trail>>,
     tls: Option<Arc<Tls>>,
     webhooks: Option<webhooks::Settings>,
     counters: Counters,
@@ -64,7 +64,7 @@ impl App {
             uploads: Arc::new(Semaphore::new(limits.uploads)),
             shares: Shares::default(),
             gate,
-            trail,
+            trail: trail.map(Arc::new),
             tls: tls.map(Arc::new),
             webhooks,
             counters: Counters::default(),
@@ -96,7 +96,7 @@ impl App {
         self.0.gate.as_ref()
     }
 
-    pub(super) fn trail(&self) -> Option<&Trail> {
+    pub(super) fn trail(&self) -> Option<&Arc<Trail>> {
         self.0.trail.as_ref()
     }
 

@@ -108,6 +108,11 @@ impl Refusals {
         self.begin.is_some_and(|begin| now.saturating_duration_since(begin) >= self.minute)
     }
 
+    #[cfg(test)]
+    pub(super) fn is_empty(&self) -> bool {
+        self.begin.is_none()
+    }
+
     /// The same of a minute that has not ended.
     pub(super) fn take(&mut self) -> Vec<(Sender, Sum)> {
         self.begin = None;
