@@ -231,6 +231,63 @@ fn settings_that_a_service_would_not_start_with_are_refused_when_they_are_printe
     }
 }
 
+/// Each can be read, and would let the service start and fail at everything, or do nothing.
+#[test]
+fn settings_that_cannot_work_are_refused() {
+    let (none, rotation) = ("give 1s or more", "give 1KiB or more");
+    let (collector, long) = ("base URL of a collector, by http or https", "36500d at most");
+    for (key, value, what) in [
+        ("max-run", "0s", none),
+        ("keep-jobs", "0", none),
+        ("upload-idle", "0m", none),
+        ("head-timeout", "0", none),
+        ("webhook-timeout", "0s", none),
+        ("webhook-retry", "0s", none),
+        ("grace", "40000d", long),
+        ("head-timeout", "18446744073709551615", long),
+        ("audit-rotate", "1", rotation),
+        ("audit-rotate", "0", "a size is a whole number"),
+        ("otlp", "ftp://x", collector),
+        ("otlp", "127.0.0.1:4318", collector),
+        ("otlp", "http://127.0.0.1:4318/?a=b", collector),
+        ("webhook-attempts", "0", "1 or more"),
+        ("validations", "0", "1 or more"),
+        ("max-uploads", "0", "1 or more"),
+        ("max-uploads-each", "0", "1 or more"),
+        ("max-queue", "0", "1 or more"),
+        ("max-jobs-each", "0", "1 or more"),
+        ("max-crashes", "0", "1 or more"),
+        ("max-triangles", "0", "1 or more"),
+        ("max-upload", "0", "a size is a whole number"),
+        ("min-free", "0", "a size is a whole number"),
+        ("max-memory", "1MiB", "at least 64 MiB"),
+    ] {
+        let (_folder, path) = file(&format!("# the first\n{key} = \"{value}\"\n"));
+        let flag = format!("--{key}={value}");
+        for words in [&["serve"][..], &["serve", "--print-config"], &["doctor"]] {
+            for (more, begin) in [
+                (&[flag.as_str()][..], format!("rosaline: invalid value '{value}' for '--{key} ")),
+                (&["--config", &path], format!("rosaline: {path}, line 2: invalid value '{value}'")),
+            ] {
+                let output = rosaline(&[words, more].concat(), &[]);
+                let said = String::from_utf8(output.stderr).unwrap();
+                assert_eq!((output.status.code(), said.lines().count()), (Some(1), 1), "{flag}: {said}");
+                assert!(said.starts_with(&begin) && said.contains(what), "{flag}: {said}");
+            }
+        }
+    }
+    // What is a setting all the same: none of these, and no collector.
+    for (key, value) in
+        [("grace", "0"), ("keep-input", "0"), ("otlp", ""), ("otlp", "https://a.example/otlp")]
+    {
+        let text = printed(&[&format!("--{key}={value}")], &[]);
+        assert!(text.contains(&format!("\n{key} = ")), "{text}");
+    }
+    let variable = rosaline(&["serve"], &[("OTEL_EXPORTER_OTLP_ENDPOINT", "ftp://x")]);
+    let said = String::from_utf8(variable.stderr).unwrap();
+    assert!(said.starts_with("rosaline: the variable OTEL_EXPORTER_OTLP_ENDPOINT: "), "{said}");
+}
+
 /// Not the file's line, which the flag or the variable goes before.
 #[test]
 fn what_is_wrong_is_blamed_on_what_says_it() {

@@ -22,10 +22,15 @@ use std::error::Error;
 use std::ffi::OsString;
 use std::io::Write;
 use std::process::ExitCode;
+use std::sync::mpsc;
+use std::time::Duration;
 
 use clap::{ArgAction, CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use config::Config;
+
+/// How long the line that says why may take on its way.
+const LAST_LINE: Duration = Duration::from_secs(1);
 
 /// Centerlines of blood vessels from their surface meshes.
 #[derive(Debug, Parser)]
@@ -104,10 +109,24 @@ pub fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(Failure { message, .. }) => {
             let line = message.split_whitespace().collect::<Vec<_>>().join(" ");
-            // A closed stderr leaves nobody to tell.
-            let _ = writeln!(std::io::stderr(), "rosaline: {line}");
+            complain(format!("rosaline: {line}"));
             ExitCode::FAILURE
         }
+    }
+}
+
+/// Says why this process ends on stderr. A closed one leaves nobody to tell, and one that nobody reads must not keep the process.
+fn complain(line: String) {
+    let (done, is_done) = mpsc::channel::<()>();
+    let say = |line: &str| writeln!(std::io::stderr(), "{line}");
+    let copy = line.clone();
+    let said = std::thread::Builder::new().spawn(move || {
+        let _done = done;
+        say(&copy).ok();
+    });
+    match said {
+        Ok(_) => drop(is_done.recv_timeout(LAST_LINE)),
+        Err(_) => drop(say(&line)),
     }
 }
 

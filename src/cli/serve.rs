@@ -1,9 +1,10 @@
 //! `rosaline serve`: the service with its store and workers in one process.
 
 mod args;
+mod log;
 mod otlp;
+mod stop;
 
-use std::future::Future;
 use std::io::Write;
 use std::net::SocketAddr;
 use std::num::NonZeroU64;
@@ -11,8 +12,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::net::TcpListener;
-use tokio::signal::unix::{SignalKind, signal};
-use tracing_subscriber::EnvFilter;
 
 use super::Failure;
 use crate::http::access::{Gate, Issuer, JwksSource, KeyError, KeyFile, KeyRing};
@@ -26,9 +25,10 @@ use crate::jobs::{
 use crate::mesh;
 use crate::outbound::webhooks::{self, Schedule, TargetFile};
 
-use args::LogFormat;
 pub use args::{Args, Service, Span};
+use log::Log;
 use otlp::Exporter;
+use stop::stop_signal;
 
 /// Threads that write, sync and read files, at most: enough that syncs go to the disk together. Each keeps about a MiB.
 const DISK_THREADS: usize = 16;
@@ -38,12 +38,18 @@ const DISK_REST: Duration = Duration::from_secs(2);
 /// How long such a thread may take to end when the service has ended.
 const DISK_END: Duration = Duration::from_secs(5);
 
-/// Serves until SIGTERM or SIGINT.
+/// Serves until SIGTERM, SIGINT or SIGHUP.
 ///
 /// # Errors
 /// The address is taken, the data folder cannot be used, or the threads cannot be started.
 pub fn run(args: Args) -> Result<(), Failure> {
-    start_log(args.log_format)?;
+    let log = Log::start(args.log_format)?;
+    let served = run_logged(args, &log);
+    log.finish();
+    served
+}
+
+fn run_logged(args: Args, log: &Log) -> Result<(), Failure> {
     check(&args)?;
     log_panics_without_text();
     keep_files_to_owner();
@@ -54,7 +60,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         .build()?;
     // Outside the runtime, which it would block when it is dropped.
     let exporter = Exporter::start(args.otlp.as_deref())?;
-    let served = runtime.block_on(serve(args, exporter.spans()));
+    let served = runtime.block_on(serve(args, exporter.spans(), log));
     drop(exporter);
     // A thread that waits for a file (of a network that is away) would keep the process for ever; all is stored by now.
     runtime.shutdown_timeout(DISK_END);
@@ -99,8 +105,8 @@ pub(super) fn target_file(args: &Args) -> TargetFile {
     args.webhooks.as_ref().map_or_else(|| TargetFile::new(args.data.join("webhooks.json")), TargetFile::named)
 }
 
-async fn serve(args: Args, spans: Spans) -> Result<(), Failure> {
-    let stop = stop_signal()?;
+async fn serve(args: Args, spans: Spans, log: &Log) -> Result<(), Failure> {
+    let stop = stop_signal(log.clone())?;
     let listener = TcpListener::bind(&args.listen).await.map_err(|error| {
         let what = format!("cannot listen on {}: {error}; choose another address with --listen", args.listen);
         Failure::of(&["listen"])(Failure::new(what))
@@ -118,10 +124,8 @@ async fn serve(args: Args, spans: Spans) -> Result<(), Failure> {
     let trail = trail(&args)?;
     let webhooks = webhook_settings(&args);
     webhooks::start(webhooks.clone(), &jobs).await?;
-    let app = App::new(jobs, limits, Some(gate), Some(trail), tls, Some(webhooks))?;
-    // For people and for scripts that asked for port 0; a closed stdout leaves nobody to tell.
-    let scheme = if is_plain { "http" } else { "https" };
-    let _ = writeln!(std::io::stdout(), "listening on {scheme}://{address}");
+    let app = App::new(jobs, limits, Some(gate), Some(trail), tls, Some(webhooks), log.lost())?;
+    announce(address, is_plain)?;
     warn(address, is_plain, is_open);
     tracing::info!(%address, "ready");
     http::serve(listener, app, stop, args.grace.0).await?;
@@ -155,6 +159,15 @@ fn trail(args: &Args) -> Result<Trail, Failure> {
             path.display()
         ))
     })
+}
+
+/// For people and for scripts that asked for port 0; a closed stdout leaves nobody to tell, and one that is not read keeps a
+/// thread of its own.
+fn announce(address: SocketAddr, is_plain: bool) -> std::io::Result<()> {
+    let scheme = if is_plain { "http" } else { "https" };
+    let say = move || drop(writeln!(std::io::stdout(), "listening on {scheme}://{address}"));
+    std::thread::Builder::new().spawn(say)?;
+    Ok(())
 }
 
 /// Says who may read along, and who may come in.
@@ -237,43 +250,4 @@ pub(super) fn settings(args: &Args) -> Result<Settings, TooManyWorkers> {
         ..Settings::new(&args.data)
     };
     settings.on(args.threads, args.workers)
-}
-
-/// Ready at the first SIGTERM or SIGINT; a second one ends the process at once.
-///
-/// # Errors
-/// The signals cannot be listened for.
-fn stop_signal() -> Result<impl Future<Output = ()>, Failure> {
-    let (mut terminate, mut interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
-    let mut next = async move || {
-        tokio::select! {
-            _ = terminate.recv() => {}
-            _ = interrupt.recv() => {}
-        }
-    };
-    Ok(async move {
-        next().await;
-        tracing::info!("stopping: running jobs may finish, a second signal ends at once");
-        tokio::spawn(async move {
-            next().await;
-            tracing::warn!("ended at once; jobs that ran are put back at the next start");
-            std::process::exit(1);
-        });
-    })
-}
-
-/// Logs to stderr what `ROSALINE_LOG` asks for, `info` without it.
-fn start_log(format: LogFormat) -> Result<(), Failure> {
-    let filter = match std::env::var("ROSALINE_LOG") {
-        Ok(text) => EnvFilter::try_new(text).map_err(|error| {
-            Failure::new(format!("ROSALINE_LOG is no filter: {error}; try info or debug"))
-        })?,
-        Err(_) => EnvFilter::new("info"),
-    };
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
-    let started = match format {
-        LogFormat::Text => log.with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr())).try_init(),
-        LogFormat::Json => log.json().try_init(),
-    };
-    started.map_err(|error| Failure::new(format!("the log cannot be started: {error}")))
 }

@@ -27,6 +27,21 @@ struct Inner {
     results: AtomicU64,
 }
 
+/// Lines of the log that could not be written, or not in time; clones share the count.
+#[derive(Debug, Clone, Default)]
+pub struct LostLines(Arc<AtomicU64>);
+
+impl LostLines {
+    /// One more.
+    pub fn add(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub fn count(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
 impl Counters {
     pub(super) fn request(&self, method: &'static str, route: &str, status: u16, took: Duration) {
         let mut requests = self.0.requests.lock().unwrap_or_else(PoisonError::into_inner);

@@ -35,6 +35,7 @@ mod trace;
 mod upload;
 mod validation;
 
+pub use counters::LostLines;
 pub use limits::Limits;
 pub use problem::Problem;
 pub use server::serve;

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use tokio::net::TcpListener;
 
-use super::{App, connections, router};
+use super::{App, audit, connections, router};
 
 /// How long open connections may take to end after the signal to stop, within the grace time.
 const CONNECTIONS_END: Duration = Duration::from_secs(10);
@@ -36,9 +36,16 @@ pub async fn serve(
         requests.close();
         requests.wait().await;
     });
+    let trail = app.trail().cloned();
+    if let Some(trail) = &trail {
+        tokio::spawn(audit::follow(trail.clone(), closing.clone()));
+    }
     tokio::select! {
         () = stop => {}
-        ended = &mut server => return ended.map_err(io::Error::other),
+        ended = &mut server => {
+            audit::finish(trail.as_ref()).await;
+            return ended.map_err(io::Error::other);
+        }
     }
     let begin = Instant::now();
     app.jobs().drain();
@@ -47,6 +54,7 @@ pub async fn serve(
         tracing::warn!("connections and requests that did not end are cut");
         server.abort();
     }
+    audit::finish(trail.as_ref()).await;
     app.jobs().shutdown(grace.saturating_sub(begin.elapsed())).await;
     Ok(())
 }

@@ -10,7 +10,7 @@ use tokio_util::task::TaskTracker;
 use super::access::Gate;
 use super::admission::Shares;
 use super::audit::Trail;
-use super::counters::Counters;
+use super::counters::{Counters, LostLines};
 use super::idempotency::InFlight;
 use super::limits::Limits;
 use super::operations::health::Faults;
@@ -31,10 +31,11 @@ struct Inner {
     uploads: Arc<Semaphore>,
     shares: Shares,
     gate: Option<Gate>,
-    trail: Option<Trail>,
+    trail: Option<Arc<Trail>>,
     tls: Option<Arc<Tls>>,
     webhooks: Option<webhooks::Settings>,
     counters: Counters,
+    lost_lines: LostLines,
     faults: Faults,
     closing: CancellationToken,
     requests: TaskTracker,
@@ -52,6 +53,7 @@ impl App {
         trail: Option<Trail>,
         tls: Option<Tls>,
         webhooks: Option<webhooks::Settings>,
+        lost_lines: LostLines,
     ) -> Result<Self, ThreadPoolBuildError> {
         let validator = Validator::new(&limits)?;
         Ok(Self(Arc::new(Inner {
@@ -62,10 +64,11 @@ impl App {
             uploads: Arc::new(Semaphore::new(limits.uploads)),
             shares: Shares::default(),
             gate,
-            trail,
+            trail: trail.map(Arc::new),
             tls: tls.map(Arc::new),
             webhooks,
             counters: Counters::default(),
+            lost_lines,
             faults: Faults::default(),
             closing: CancellationToken::new(),
             requests: TaskTracker::new(),
@@ -93,7 +96,7 @@ impl App {
         self.0.gate.as_ref()
     }
 
-    pub(super) fn trail(&self) -> Option<&Trail> {
+    pub(super) fn trail(&self) -> Option<&Arc<Trail>> {
         self.0.trail.as_ref()
     }
 
@@ -109,6 +112,11 @@ impl App {
 
     pub(super) fn counters(&self) -> &Counters {
         &self.0.counters
+    }
+
+    /// What the log has lost.
+    pub(super) fn lost_lines(&self) -> &LostLines {
+        &self.0.lost_lines
     }
 
     /// What readiness has told the log of.

@@ -64,11 +64,14 @@ impl Service {
     pub fn try_start(command: &mut Command, data: Arc<TempDir>) -> Result<Self, String> {
         let mut child = command.spawn().unwrap();
         let log = Arc::new(Mutex::new(String::new()));
-        let collected = collect(child.stderr.take().unwrap(), log.clone());
+        // None where the test has the other end.
+        let collected = child.stderr.take().map(|stderr| collect(stderr, log.clone()));
         let Some(line) = first_line(child.stdout.take().unwrap()) else {
             child.kill().ok();
             child.wait().ok();
-            collected.join().unwrap();
+            if let Some(collected) = collected {
+                collected.join().unwrap();
+            }
             return Err(log.lock().unwrap().clone());
         };
         let url = line.trim().strip_prefix("listening on ").unwrap().to_owned();
@@ -135,8 +138,12 @@ impl Service {
 
     /// SIGTERM.
     pub fn terminate(&self) {
+        self.signal("-TERM");
+    }
+
+    pub fn signal(&self, name: &str) {
         let pid = self.child.id().to_string();
-        assert!(Command::new("kill").args(["-TERM", &pid]).status().unwrap().success());
+        assert!(Command::new("kill").args([name, &pid]).status().unwrap().success());
     }
 
     /// Waits for its end.

@@ -191,7 +191,7 @@ async fn an_issuer_that_never_answered_is_told_by_readiness() {
         let (status, body) = ready(service).await;
         assert!(status == 200 && body.get("warnings").is_none(), "{body}");
     }
-    let log = alone.log();
+    let log = alone.log_with("not ready").await;
     assert!(log.matches("not ready").count() == 1 && !log.contains("stay those known before"), "{log}");
 }
 

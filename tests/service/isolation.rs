@@ -71,7 +71,8 @@ async fn a_run_that_dies_is_tried_again_and_given_up_after_the_third_time() {
     let job = service.backlog(1, &meshes::large()).await.remove(0);
     service.until(&job, |status| status["progress"].as_u64() > Some(10)).await;
     let run = signal_run(&service, "-TERM", None).await;
-    assert_eq!(signal_run(&service, "-KILL", None).await, run, "a manager's SIGTERM is for the service");
+    assert_eq!(signal_run(&service, "-HUP", None).await, run, "a manager's SIGTERM is for the service");
+    assert_eq!(signal_run(&service, "-KILL", None).await, run, "as is a SIGHUP");
     assert_eq!(service.ended(&job).await["status"], "successful", "{}", service.log());
     let job = service.backlog(1, &meshes::large()).await.remove(0);
     // Not before the process at rest has begun with it.

@@ -36,6 +36,7 @@ mod issuer_file;
 mod keys;
 mod listing;
 mod load;
+mod log;
 mod metrics;
 mod readiness;
 mod refusals;

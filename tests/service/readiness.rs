@@ -9,6 +9,7 @@ use serde_json::Value;
 use crate::meshes;
 use crate::service::{Service, command, problem, without_settings};
 use crate::small_disk::SmallDisk;
+use crate::tls::logged;
 
 /// What `rosaline` prints.
 fn told(data: &Path, arguments: &[&str]) -> String {
@@ -94,6 +95,7 @@ async fn keys_that_cannot_be_read_are_a_fault_of_the_service() {
         for _ in 0..3 {
             unready(&service, "the file of the keys cannot be read").await;
         }
+        logged(&service, "not ready", told + 1).await;
         assert_eq!(service.log().matches("not ready").count(), told + 1, "once, not at each probe");
         for key in [&key, &revoked] {
             let response = list(key).await.unwrap();

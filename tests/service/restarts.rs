@@ -114,3 +114,37 @@ async fn a_second_signal_ends_at_once_and_loses_nothing() {
     let service = service.restart(&[]);
     assert_all_end_well(&service, &jobs).await;
 }
+
+/// A closing terminal and some service managers send it, to all processes and beside another signal.
+#[cfg(unix)]
+#[tokio::test]
+async fn a_hangup_is_an_orderly_stop_too() {
+    let mut service = Service::start(&["--workers", "1", "--grace", "120s"]);
+    let job = service.backlog(1, &meshes::large()).await.remove(0);
+    service.running().await;
+    for _ in 0..2 {
+        service.signal("-HUP");
+        service.log_with("stopping").await;
+    }
+    assert!(service.wait().success(), "{}", service.log());
+    let service = service.restart(&[]);
+    assert_eq!(service.status(&job).await["status"], "successful");
+}
+
+#[cfg(unix)]
+#[tokio::test]
+async fn a_service_under_nohup_outlives_its_terminal() {
+    let data = std::sync::Arc::new(tempfile::tempdir().unwrap());
+    let mut shell = std::process::Command::new("sh");
+    crate::service::without_settings(&mut shell);
+    shell.args(["-c", "trap '' HUP; exec \"$0\" serve --listen 127.0.0.1:0", env!("CARGO_BIN_EXE_rosaline")]);
+    shell.env("ROSALINE_DATA", data.path());
+    shell.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::piped());
+    let mut service = Service::try_start(&mut shell, data).unwrap();
+    service.signal("-HUP");
+    let job = service.accepted("", meshes::small()).await;
+    assert_eq!(service.ended(&job).await["status"], "successful");
+    service.terminate();
+    assert!(service.wait().success(), "{}", service.log());
+    assert_eq!(service.log().matches("stopping").count(), 1);
+}

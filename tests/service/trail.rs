@@ -132,3 +132,55 @@ async fn a_client_that_hangs_up_is_told_of_too() {
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
 }
+
+#[tokio::test]
+async fn a_trail_whose_file_is_taken_away_goes_on_under_its_name() {
+    let service = Service::start(&[]);
+    let ask = async || assert!(service.get("/v1/jobs").send().await.unwrap().status().is_success());
+    ask().await;
+    let (path, moved) = (service.data().join("audit.jsonl"), service.data().join("audit.jsonl.1"));
+    std::fs::rename(&path, &moved).unwrap();
+    ask().await;
+    ask().await;
+    assert_eq!(trail(&service).len(), 2, "as logrotate does it");
+    assert_eq!(std::fs::read_to_string(&moved).unwrap().lines().count(), 1);
+    std::fs::remove_file(&path).unwrap();
+    ask().await;
+    assert_eq!(trail(&service).len(), 1);
+    let log = service.log_with("is_removed=true").await;
+    assert_eq!(log.matches("somebody moved or removed the audit trail's file").count(), 2, "{log}");
+}
+
+/// Who is not let in must not fill the disk; who is let in has every line.
+#[tokio::test]
+async fn refusals_of_one_address_are_summed_up() {
+    let data = std::sync::Arc::new(tempfile::tempdir().unwrap());
+    let mut keys = std::process::Command::new(env!("CARGO_BIN_EXE_rosaline"));
+    let output = keys.args(["keys", "add", "pacs", "--scope", "read", "--data"]).arg(data.path()).output();
+    let key = String::from_utf8(output.unwrap().stdout).unwrap();
+    let mut service = Service::start_on(data, &[]);
+    let list = async |key: &str| {
+        let request = service.get("/v1/jobs").header("authorization", format!("Bearer {}", key.trim()));
+        request.send().await.unwrap().status().as_u16()
+    };
+    for _ in 0..50 {
+        assert_eq!((list("wrong").await, list("wrong").await, list(&key).await), (401, 401, 200));
+    }
+    service.terminate();
+    assert!(service.wait().success(), "{}", service.log());
+    let lines = trail(&service);
+    let queries = lines.iter().map(told).filter(|line| line.0 == "Query" && line.3 == "pacs").count();
+    assert_eq!(queries, 50);
+    let refused: Vec<&Value> = lines.iter().filter(|line| told(line).0 == "Security Alert").collect();
+    assert!(refused.iter().all(|line| line["EventIdentification"]["EventOutcomeDescription"] == "401"));
+    // A minute may end in between.
+    assert!(refused.len() <= 42, "{}", refused.len());
+    let count = |line: &&&Value| {
+        let details = line["ParticipantObjectIdentification"][0]["ParticipantObjectDetail"].as_array()?;
+        details.iter().find(|detail| detail["type"] == "Count")?["value"].as_str()?.parse::<usize>().ok()
+    };
+    let summed: usize = refused.iter().filter_map(|line| count(&line)).sum();
+    let alone = refused.iter().filter(|line| count(line).is_none()).count();
+    assert_eq!(alone + summed, 100, "none is passed over");
+    assert!(alone >= 20, "{alone}");
+}

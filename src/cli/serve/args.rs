@@ -80,7 +80,7 @@ pub struct Args {
     #[arg(long, env = "ROSALINE_AUDIT", value_name = "FILE")]
     pub audit: Option<PathBuf>,
     /// Size at which the audit trail is set aside and a new file begun.
-    #[arg(long, env = "ROSALINE_AUDIT_ROTATE", default_value = "64MiB", value_name = "SIZE")]
+    #[arg(long, env = "ROSALINE_AUDIT_ROTATE", default_value = "64MiB", value_name = "SIZE", value_parser = rotation)]
     pub audit_rotate: Size,
     /// Uploads that may come in at the same time.
     #[arg(long, env = "ROSALINE_MAX_UPLOADS", default_value = "256", value_name = "N", value_parser = positive::<NonZeroUsize>)]
@@ -96,7 +96,7 @@ pub struct Args {
     #[arg(long, env = "ROSALINE_MAX_JOBS_EACH", default_value = "10000", value_name = "N", value_parser = positive::<NonZeroU64>)]
     pub max_jobs_each: NonZeroU64,
     /// How long one run of a job may take.
-    #[arg(long, env = "ROSALINE_MAX_RUN", default_value = "60m", value_name = "TIME")]
+    #[arg(long, env = "ROSALINE_MAX_RUN", default_value = "60m", value_name = "TIME", value_parser = lasting)]
     pub max_run: Span,
     /// Memory that one run of a job may have, beside its threads' stacks; one that needs more is failed.
     #[arg(long, env = "ROSALINE_MAX_MEMORY", default_value = "4GiB", value_name = "SIZE", value_parser = memory)]
@@ -108,32 +108,32 @@ pub struct Args {
     #[arg(long, env = "ROSALINE_KEEP_INPUT", value_name = "TIME")]
     pub keep_input: Option<Span>,
     /// How long an ended job and its results are kept [default: until they are deleted].
-    #[arg(long, env = "ROSALINE_KEEP_JOBS", value_name = "TIME")]
+    #[arg(long, env = "ROSALINE_KEEP_JOBS", value_name = "TIME", value_parser = lasting)]
     pub keep_jobs: Option<Span>,
     /// How long an upload may stand still, in seconds or with s or m, before it is given up.
-    #[arg(long, env = "ROSALINE_UPLOAD_IDLE", default_value = "30s", value_name = "TIME")]
+    #[arg(long, env = "ROSALINE_UPLOAD_IDLE", default_value = "30s", value_name = "TIME", value_parser = lasting)]
     pub upload_idle: Span,
     /// How long a client may take for the head of a request, or before its next one.
-    #[arg(long, env = "ROSALINE_HEAD_TIMEOUT", default_value = "30s", value_name = "TIME")]
+    #[arg(long, env = "ROSALINE_HEAD_TIMEOUT", default_value = "30s", value_name = "TIME", value_parser = lasting)]
     pub head_timeout: Span,
     /// File of the webhook targets, which `rosaline webhooks` makes [default: webhooks.json in the data folder].
     #[arg(long, env = "ROSALINE_WEBHOOKS", value_name = "FILE")]
     pub webhooks: Option<PathBuf>,
     /// How long to wait before a webhook is tried again that failed once; each further wait is three times as long, up
     /// to 12 h.
-    #[arg(long, env = "ROSALINE_WEBHOOK_RETRY", default_value = "5s", value_name = "TIME")]
+    #[arg(long, env = "ROSALINE_WEBHOOK_RETRY", default_value = "5s", value_name = "TIME", value_parser = lasting)]
     pub webhook_retry: Span,
     /// Tries after which a webhook is given up.
     #[arg(long, env = "ROSALINE_WEBHOOK_ATTEMPTS", default_value = "12", value_name = "N", value_parser = positive::<NonZeroU32>)]
     pub webhook_attempts: NonZeroU32,
     /// How long a target may take to answer a webhook.
-    #[arg(long, env = "ROSALINE_WEBHOOK_TIMEOUT", default_value = "15s", value_name = "TIME")]
+    #[arg(long, env = "ROSALINE_WEBHOOK_TIMEOUT", default_value = "15s", value_name = "TIME", value_parser = lasting)]
     pub webhook_timeout: Span,
-    /// How long running jobs may go on after SIGTERM or SIGINT, in seconds or with s or m.
+    /// How long running jobs may go on after SIGTERM, SIGINT or SIGHUP, in seconds or with s or m.
     #[arg(long, env = "ROSALINE_GRACE", default_value = "30s", value_name = "TIME")]
     pub grace: Span,
     /// Base URL of an OpenTelemetry collector (OTLP over HTTP) that gets traces [default: none are sent].
-    #[arg(long, env = "OTEL_EXPORTER_OTLP_ENDPOINT", value_name = "URL")]
+    #[arg(long, env = "OTEL_EXPORTER_OTLP_ENDPOINT", value_name = "URL", value_parser = collector)]
     pub otlp: Option<String>,
     /// Form of the log on stderr.
     #[arg(long, env = "ROSALINE_LOG_FORMAT", default_value = "text", value_name = "FORMAT")]
@@ -178,6 +178,28 @@ fn memory(text: &str) -> Result<Size, String> {
     Ok(size)
 }
 
+/// Two lines of the audit trail.
+const LEAST_ROTATION: u64 = 1 << 10;
+
+fn rotation(text: &str) -> Result<Size, String> {
+    let size: Size = text.parse()?;
+    if size.0 < LEAST_ROTATION {
+        return Err("each line would have a file of its own; give 1KiB or more".to_owned());
+    }
+    Ok(size)
+}
+
+/// The base URL of a collector of traces; an empty text, as the variable may have it, is none.
+fn collector(text: &str) -> Result<String, &'static str> {
+    let is_base = |url: reqwest::Url| {
+        matches!(url.scheme(), "http" | "https") && url.query().is_none() && url.fragment().is_none()
+    };
+    if text.is_empty() || reqwest::Url::parse(text).is_ok_and(is_base) {
+        return Ok(text.to_owned());
+    }
+    Err("traces go to the base URL of a collector, by http or https; give it, as http://127.0.0.1:4318")
+}
+
 /// A length of time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Span(pub Duration);
@@ -192,12 +214,26 @@ impl FromStr for Span {
             "" | "s" => 1,
             "m" => 60,
             "h" => 60 * 60,
-            "d" => 24 * 60 * 60,
+            "d" => DAY,
             _ => return Err(expected()),
         };
-        let seconds = number.checked_mul(factor).ok_or_else(expected)?;
+        let seconds = number.checked_mul(factor).filter(|&seconds| seconds <= LONGEST);
+        let seconds = seconds.ok_or_else(|| format!("a time may be {}d at most", LONGEST / DAY))?;
         Ok(Span(Duration::from_secs(seconds)))
     }
+}
+
+const DAY: u64 = 24 * 60 * 60;
+/// A hundred years, in seconds: with much more, clocks overflow.
+const LONGEST: u64 = 36_500 * DAY;
+
+/// A length of time in which something is to happen: not 0, in which nothing does.
+fn lasting(text: &str) -> Result<Span, String> {
+    let span: Span = text.parse()?;
+    if span.0.is_zero() {
+        return Err("nothing can be done in no time; give 1s or more".to_owned());
+    }
+    Ok(span)
 }
 
 /// Splits `30s` into 30 and `s`.
@@ -229,8 +265,10 @@ mod tests {
         assert_eq!("0".parse(), Ok(Span(Duration::ZERO)));
         assert_eq!("12h".parse(), Ok(Span(Duration::from_secs(43_200))));
         assert_eq!("30d".parse(), Ok(Span(Duration::from_secs(2_592_000))));
-        for text in ["", "s", "-1", "1w"] {
+        assert_eq!("36500d".parse(), Ok(Span(Duration::from_secs(LONGEST))));
+        for text in ["", "s", "-1", "1w", "36501d", "18446744073709551615", "18446744073709551615d"] {
             assert!(text.parse::<Span>().is_err(), "{text}");
         }
+        assert!(lasting("1s").is_ok() && lasting("0").is_err() && lasting("0d").is_err());
     }
 }

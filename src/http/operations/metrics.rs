@@ -73,6 +73,8 @@ fn write_deliveries(text: &mut Exposition, counts: DeliveryCounts) {
 fn write_warnings(text: &mut Exposition, app: &App) {
     text.gauge("clock_doubted", "1 while the clock cannot be trusted and nothing is removed for its age.");
     text.sample(&[], u8::from(app.jobs().clock_doubt().is_some()));
+    text.counter("log_lines_lost_total", "Lines of the log that could not be written, or not in time.");
+    text.sample(&[], app.lost_lines().count());
     if let Some(expiry) = app.tls().and_then(|tls| tls.expiry()) {
         let help = "When the TLS certificate expires, in seconds since 1970.";
         text.gauge("tls_certificate_expiry_timestamp_seconds", help);

@@ -3,8 +3,12 @@
 use std::io;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
 
 use super::{Operation, Side, VARIABLE};
+
+/// How long the line of a crash may take on its way.
+const LOGGED: Duration = Duration::from_millis(100);
 
 /// What happens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -78,7 +82,11 @@ pub(super) fn pass(operation: Operation, side: Side) -> io::Result<()> {
         let Fault { action, .. } = fault;
         tracing::error!(fault = operation.name(), ?side, ?action, "a fault was asked for here");
         match action {
-            Action::Crash => std::process::abort(),
+            Action::Crash => {
+                // The log has a thread of its own, and tests read there that this was come by.
+                std::thread::sleep(LOGGED);
+                std::process::abort()
+            }
             Action::Error => return Err(io::Error::other("a fault was asked for here")),
             Action::Full => return Err(io::ErrorKind::StorageFull.into()),
             #[expect(clippy::panic, reason = "it is what was asked for")]
