@@ -11,7 +11,7 @@ use sqlx::{AnyConnection, AssertSqlSafe, Connection};
 use super::StoredArtifact;
 use super::clock::SILENCE;
 pub use super::folder::is_in_use;
-use super::folder::percent_encoded;
+use super::folder::{lost_database, percent_encoded};
 
 /// What was found, in words for the operator.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -114,6 +114,11 @@ pub fn secrecy(path: &Path, what: &str, mode: &str) -> Option<Finding> {
 /// Whether the database is whole, of a form that this version knows, and of this time. Reads only.
 pub async fn database(path: &Path, now_ms: i64) -> Vec<Finding> {
     let file = path.join("jobs.sqlite");
+    match lost_database(path) {
+        Ok(Some(error)) => return vec![Finding::wrong(error.to_string(), "the service does not start")],
+        // A database that cannot be read is told below.
+        Ok(None) | Err(_) => {}
+    }
     if !file.exists() {
         return vec![Finding::Note("there is no job database yet; the first start creates it".to_owned())];
     }

@@ -27,6 +27,7 @@ mod changes;
 mod damage;
 mod deletion;
 mod discovery;
+mod displaced;
 mod dry_run;
 mod events;
 #[cfg(debug_assertions)]
