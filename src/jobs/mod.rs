@@ -22,6 +22,7 @@ pub mod extraction;
 mod failure;
 pub mod faults;
 mod folder;
+mod fresh_file;
 mod housekeeping;
 mod id;
 mod input;

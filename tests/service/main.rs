@@ -38,6 +38,7 @@ mod keys;
 mod listing;
 mod load;
 mod metrics;
+mod operator_files;
 mod readiness;
 mod refusals;
 mod resend;
