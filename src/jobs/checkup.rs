@@ -116,10 +116,9 @@ pub fn secrecy(path: &Path, what: &str, mode: &str) -> Option<Finding> {
 /// Whether the database is whole, of a form that this version knows, and of this time. Reads only.
 pub async fn database(path: &Path, now_ms: i64) -> Vec<Finding> {
     let file = path.join("jobs.sqlite");
-    match lost_database(path) {
-        Ok(Some(error)) => return vec![Finding::wrong(error.to_string(), "the service does not start")],
-        // A database that cannot be read is told below.
-        Ok(None) | Err(_) => {}
+    // A folder that cannot be read is told elsewhere.
+    if let Ok(Some(error)) = lost_database(path) {
+        return vec![Finding::wrong(error.to_string(), "the service does not start")];
     }
     if !file.exists() {
         return vec![Finding::Note("there is no job database yet; the first start creates it".to_owned())];

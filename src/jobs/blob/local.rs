@@ -138,6 +138,14 @@ fn unread(key: &str, error: io::Error) -> BlobError {
     }
 }
 
+/// Why a file could not be written.
+pub(super) fn unwritten(error: io::Error) -> BlobError {
+    match error.kind() {
+        io::ErrorKind::StorageFull => BlobError::Full,
+        _ => BlobError::Folder(error),
+    }
+}
+
 /// Removes object_store's staging files and folders that are empty; the number of files removed.
 fn remove_staged(folder: &Path) -> io::Result<usize> {
     let mut removed = 0;
@@ -197,10 +205,7 @@ pub(super) fn hex(hash: Sha256) -> String {
 
 /// Passes a point.
 fn point(operation: Operation, side: Side) -> Result<(), BlobError> {
-    faults::pass(operation, side).map_err(|error| match error.kind() {
-        io::ErrorKind::StorageFull => BlobError::Full,
-        _ => BlobError::Folder(error),
-    })
+    faults::pass(operation, side).map_err(unwritten)
 }
 
 /// The points of a blob's creation, of its writes, and of its commit.
@@ -364,9 +369,7 @@ impl BlobStore for LocalBlobs {
             let probe = self.root.join("probe#check");
             let written = tokio::task::spawn_blocking(move || crate::jobs::folder::try_write(&probe));
             match written.await {
-                Ok(Ok(())) => Ok(()),
-                Ok(Err(error)) if error.kind() == io::ErrorKind::StorageFull => Err(BlobError::Full),
-                Ok(Err(error)) => Err(BlobError::Folder(error)),
+                Ok(written) => written.map_err(unwritten),
                 Err(error) => Err(BlobError::Folder(io::Error::other(error))),
             }
         }

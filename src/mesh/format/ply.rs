@@ -313,7 +313,7 @@ mod tests {
     fn a_negative_count_is_said_with_its_place() {
         let bytes = ascii(&format!("{VERTICES}{FACES}"), &SQUARE.replace("3 0 2 3", "-3 0 2 3"));
         let end = bytes.len() - " 0 2 3".len();
-        let said = format!("a count is -3, which is negative; it ends at byte {end}, line 14;");
+        let said = format!("a count is -3, which is negative; it ends at byte {end}, line 15;");
         let error = ply(&bytes).unwrap_err().to_string();
         assert!(error.contains(&said), "{error}");
     }
