@@ -288,6 +288,7 @@ mod tests {
         let change = Change::begin(&link).unwrap();
         assert_eq!(change.read().unwrap(), b"old");
         change.replace(b"new").unwrap();
+        drop(change);
         assert!(link.is_symlink() && real.with_extension("lock").exists());
         assert_eq!(fs::read(&real).unwrap(), b"new");
         // One that another user has put there, at once or behind one of root's.
@@ -303,6 +304,7 @@ mod tests {
         }
         symlink("loop.json", folder.path().join("loop.json")).unwrap();
         assert!(changed(&folder.path().join("loop.json"), b"x").unwrap_err().to_string().contains("40"));
+        let change = Change::begin(&real).unwrap();
         fs::remove_file(&real).unwrap();
         symlink(folder.path().join("other"), &real).unwrap();
         fs::write(folder.path().join("other"), "secret").unwrap();
