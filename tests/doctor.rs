@@ -111,6 +111,18 @@ async fn a_running_service_is_not_disturbed() {
 }
 
 #[tokio::test]
+async fn a_database_that_is_gone_is_told() {
+    let data = used().await;
+    for name in ["jobs.sqlite", "jobs.sqlite-wal", "jobs.sqlite-shm"] {
+        fs::remove_file(data.path().join(name)).ok();
+    }
+    wrong(&mut doctor(data.path()), "put the database back");
+    fs::remove_dir_all(data.path().join("blobs")).unwrap();
+    let (well, said) = asked(&mut doctor(data.path()));
+    assert!(well && said.contains("the first start creates it"), "{said}");
+}
+
+#[tokio::test]
 async fn a_folder_that_cannot_be_used_is_told() {
     let data = used().await;
     wrong(&mut doctor(Path::new("/proc/rosaline")), "the data folder /proc/rosaline");

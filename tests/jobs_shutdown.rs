@@ -194,7 +194,7 @@ async fn a_shutdown_does_not_wait_for_a_full_disk() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_input_that_cannot_be_read_fails_its_job_and_the_next_runs() {
-    let Fixture { service, broken, dir, .. } = &Fixture::new().await;
+    let Fixture { service, script, broken, dir, .. } = &Fixture::new().await;
     let holds = submit(service, "sleep 200").await;
     running(service, holds.id).await;
     let lost = submit(service, "ok").await;
@@ -205,11 +205,15 @@ async fn an_input_that_cannot_be_read_fails_its_job_and_the_next_runs() {
         let job = ended(service, id).await;
         assert_eq!(job.error.map(|error| error.code).as_deref(), Some("input-lost"));
     }
+    // A disk that answers with errors is waited for.
     broken.store(true, Ordering::SeqCst);
-    let unread = submit(service, "ok 3").await;
-    let job = ended(service, unread.id).await;
-    assert_eq!(job.error.map(|error| (error.code, error.status)), Some(("input-lost".to_owned(), 500)));
+    let (unread, dismissed) = (submit(service, "ok 3").await, submit(service, "ok 5").await);
+    let waits = service.wait(unread.id, Duration::from_secs(4)).await.unwrap();
+    assert_eq!((waits.status, waits.stage.as_deref()), (JobStatus::Running, Some("reading")));
+    service.remove(dismissed.id).await.unwrap();
     broken.store(false, Ordering::SeqCst);
+    assert_eq!(ended(service, unread.id).await.status, JobStatus::Successful);
+    assert_eq!(script.runs("ok 5"), 0);
     let fine = submit(service, "ok 4").await;
     assert_eq!(ended(service, fine.id).await.status, JobStatus::Successful);
     service.shutdown(Duration::ZERO).await;

@@ -51,14 +51,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
         (Command::Add { .. }, _) | (_, None) => KeyFile::new(place.path()),
         (_, Some(named)) => KeyFile::named(named),
     };
-    match args.command {
+    let made = match args.command {
         Command::Add { .. } => place.make()?,
-        _ => place.check()?,
-    }
+        _ => place.check().map(|()| false)?,
+    };
     match args.command {
         Command::Add { name, scope, inherit } => {
             writeln!(out, "{}", file.add(&name, &scope, inherit)?)?;
-            if let Some(unsaid) = place.unsaid() {
+            if let Some(unsaid) = place.unsaid(made) {
                 // It is made, whether or not somebody reads this.
                 let _ = writeln!(std::io::stderr(), "rosaline: note: {unsaid}");
             }

@@ -42,9 +42,14 @@ impl<'a> OperatorPlace<'a> {
         self.data.unwrap_or(Path::new(DATA))
     }
 
-    /// Makes the data folder where something is to be put into it.
-    pub(super) fn make(&self) -> Result<(), Failure> {
-        if self.named.is_some() { Ok(()) } else { create_private(self.data()) }
+    /// Makes the data folder where something is to be put into it; whether there was none.
+    pub(super) fn make(&self) -> Result<bool, Failure> {
+        if self.named.is_some() {
+            return Ok(false);
+        }
+        let made = !self.data().exists();
+        create_private(self.data())?;
+        Ok(made)
     }
 
     /// Fails where there is no data folder: what is looked for there may well be in another.
@@ -70,13 +75,28 @@ impl<'a> OperatorPlace<'a> {
         }
     }
 
-    /// For one who said no place: which it is now.
-    pub(super) fn unsaid(&self) -> Option<String> {
-        let is_unsaid = self.named.is_none() && self.data.is_none();
-        let path = self.path();
-        is_unsaid.then(|| {
-            format!("what was added is in {}; a service with another --data does not see it", path.display())
-        })
+    /// For one who said no place: which it is now. For one whose data folder was `made`: that it was, as its name may be
+    /// mistyped.
+    pub(super) fn unsaid(&self, made: bool) -> Option<String> {
+        if self.named.is_some() {
+            return None;
+        }
+        let (data, path) = (self.data().display(), self.path());
+        let path = path.display();
+        match (self.data, made) {
+            (Some(_), true) => Some(format!(
+                "there was no data folder {data}, so it was made; start the service with --data {data}: one with another does \
+                 not see what was added"
+            )),
+            (None, true) => Some(format!(
+                "there was no data folder {data}, so it was made, and what was added is in {path}; a service with another \
+                 --data does not see it"
+            )),
+            (None, false) => {
+                Some(format!("what was added is in {path}; a service with another --data does not see it"))
+            }
+            (Some(_), false) => None,
+        }
     }
 }
 
@@ -93,10 +113,10 @@ mod tests {
         assert!(said.contains("there is no data folder") && said.contains("--data"), "{said}");
         assert!(!data.exists());
         let named = folder.path().join("k.json");
-        place(&data, Some(&named)).make().unwrap();
+        assert!(!place(&data, Some(&named)).make().unwrap());
         assert!(place(&data, Some(&named)).check().is_ok() && !data.exists());
         assert_eq!(place(&data, Some(&named)).again(), format!(" --keys {}", named.display()));
-        place(&data, None).make().unwrap();
+        assert!(place(&data, None).make().unwrap() && !place(&data, None).make().unwrap());
         assert!(place(&data, None).check().is_ok());
         fs::write(&named, "").unwrap();
         assert!(place(&named, None).check().unwrap_err().message.contains("no folder"));

@@ -64,10 +64,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
         (Command::Add { .. }, _) | (_, None) => TargetFile::new(place.path()),
         (_, Some(named)) => TargetFile::named(named),
     };
-    match args.command {
+    let made = match args.command {
         Command::Add { .. } => place.make()?,
-        _ => place.check()?,
-    }
+        _ => place.check().map(|()| false)?,
+    };
     let mut out = std::io::stdout();
     match args.command {
         Command::Add { name, url, events, owner } => {
@@ -75,7 +75,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             let keys = OperatorPlace::of_keys(data, args.keys.as_deref());
             let doubt = owner.as_deref().and_then(|owner| doubted(owner, &keys.path()));
             writeln!(out, "{}", file.add(&name, url, &events, owner)?)?;
-            let unsaid = place.unsaid().map(|unsaid| format!("note: {unsaid}"));
+            let unsaid = place.unsaid(made).map(|unsaid| format!("note: {unsaid}"));
             for line in doubt.map(|doubt| format!("warning: {doubt}")).into_iter().chain(unsaid) {
                 // It is added, whether or not somebody reads this.
                 let _ = writeln!(std::io::stderr(), "rosaline: {line}");

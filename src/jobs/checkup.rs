@@ -11,7 +11,8 @@ use sqlx::{AnyConnection, AssertSqlSafe, Connection};
 use super::StoredArtifact;
 use super::clock::SILENCE;
 pub use super::folder::is_in_use;
-use super::folder::percent_encoded;
+use super::folder::{lost_database, percent_encoded};
+use super::fresh_file::FreshFile;
 
 /// What was found, in words for the operator.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -38,7 +39,7 @@ pub const ROOM: usize = 4 << 20;
 
 /// Whether a service could keep its files here: writes, syncs and renames work, and there is room.
 ///
-/// What is written has a name of its own and is removed.
+/// What is written has a name of its own, which nobody can foresee, and is removed.
 pub fn folder(path: &Path) -> Vec<Finding> {
     if !path.exists() {
         let parent = path.ancestors().skip(1).find(|each| each.as_os_str().is_empty() || each.exists());
@@ -65,13 +66,7 @@ pub fn folder(path: &Path) -> Vec<Finding> {
 
 /// Tries in `place` what a service does in its folder; `named` is what the finding is about.
 fn tried(place: &Path, named: &Path) -> Result<(), Finding> {
-    let probe = place.join(format!("doctor-{}.probe", std::process::id()));
-    let moved = probe.with_extension("moved");
-    let outcome = try_files(&probe, &moved);
-    // Whichever of the two is there.
-    fs::remove_file(&probe).ok();
-    fs::remove_file(&moved).ok();
-    outcome.map_err(|(step, error)| {
+    try_files(place).map_err(|(step, error)| {
         let what = format!("the data folder {}: it {step}: {error}", named.display());
         Finding::wrong(
             what,
@@ -85,15 +80,22 @@ fn tried(place: &Path, named: &Path) -> Result<(), Finding> {
     })
 }
 
-fn try_files(probe: &Path, moved: &Path) -> Result<(), (&'static str, io::Error)> {
+fn try_files(folder: &Path) -> Result<(), (&'static str, io::Error)> {
     let step = |name: &'static str| move |error| (name, error);
-    let mut file = File::create(probe).map_err(step("cannot be written"))?;
-    file.write_all(&vec![0x5a; ROOM]).map_err(step("cannot be written"))?;
-    file.sync_all().map_err(step("cannot be synced"))?;
-    fs::rename(probe, moved).map_err(step("cannot rename files"))?;
-    let folder = moved.parent().unwrap_or(Path::new("."));
+    let mut probe = FreshFile::create(folder, "doctor-", ".probe").map_err(step("cannot be written"))?;
+    probe.file().write_all(&vec![0x5a; ROOM]).map_err(step("cannot be written"))?;
+    probe.file().sync_all().map_err(step("cannot be synced"))?;
+    let moved = probe.path().with_extension("moved");
+    probe.rename(&moved).map_err(step("cannot rename files"))?;
+    let kept = try_renamed(folder, &moved);
+    fs::remove_file(&moved).ok();
+    kept
+}
+
+fn try_renamed(folder: &Path, moved: &Path) -> Result<(), (&'static str, io::Error)> {
+    let step = |name: &'static str| move |error| (name, error);
     File::open(folder).and_then(|folder| folder.sync_all()).map_err(step("cannot be synced"))?;
-    let kept = fs::metadata(moved).map_err(step("loses files"))?.len();
+    let kept = fs::symlink_metadata(moved).map_err(step("loses files"))?.len();
     if kept == ROOM as u64 { Ok(()) } else { Err(("loses bytes", io::ErrorKind::UnexpectedEof.into())) }
 }
 
@@ -114,6 +116,10 @@ pub fn secrecy(path: &Path, what: &str, mode: &str) -> Option<Finding> {
 /// Whether the database is whole, of a form that this version knows, and of this time. Reads only.
 pub async fn database(path: &Path, now_ms: i64) -> Vec<Finding> {
     let file = path.join("jobs.sqlite");
+    // A folder that cannot be read is told elsewhere.
+    if let Ok(Some(error)) = lost_database(path) {
+        return vec![Finding::wrong(error.to_string(), "the service does not start")];
+    }
     if !file.exists() {
         return vec![Finding::Note("there is no job database yet; the first start creates it".to_owned())];
     }

@@ -2,11 +2,17 @@
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use rustix::fs::OFlags;
+
+use super::JobId;
 use super::checkup::free;
 use super::faults::{Operation, between};
+use super::presence::{Anchor, Displaced};
 
 /// Bytes kept free for changes of the database on a full disk: a start, a cancellation, a purge.
 const RESERVE: usize = 1 << 20;
@@ -29,20 +35,32 @@ pub enum FolderError {
     Unwritable(io::Error),
     #[error("{} MiB are free on the data folder's disk and {} should be; free space on it", free >> 20, least >> 20)]
     NoRoom { free: u64, least: u64 },
+    #[error(transparent)]
+    Displaced(#[from] Displaced),
+    #[error(
+        "there are files of jobs in {blobs} and their database {database} is not there: it was moved or removed, or its disk \
+         is not mounted; put the database back, or move {blobs} away to begin without these jobs, or choose another folder \
+         with --data"
+    )]
+    NoDatabase { blobs: String, database: String },
 }
 
 /// An open data folder. Dropping it (or the death of the process) frees the lock.
 #[derive(Debug)]
 pub struct DataFolder {
     path: PathBuf,
-    _locks: Locks,
+    locks: Locks,
+    /// What the service was started on, once that is there.
+    anchors: Vec<Anchor>,
+    /// Whether some of it was not in its place when that was last asked.
+    is_away: AtomicBool,
 }
 
 /// The locks of a folder: on a file in it, and on the folder itself, which holds when somebody removes the file.
 #[derive(Debug)]
 struct Locks {
     _file: File,
-    _folder: Option<File>,
+    folder: Option<File>,
 }
 
 impl DataFolder {
@@ -55,7 +73,7 @@ impl DataFolder {
         create(path).map_err(failed)?;
         let path = fs::canonicalize(path).map_err(failed)?;
         match Locks::take(&path) {
-            Ok(locks) => Ok(Self { path, _locks: locks }),
+            Ok(locks) => Ok(Self { path, locks, anchors: Vec::new(), is_away: AtomicBool::new(false) }),
             Err(TryLockError::WouldBlock) => Err(FolderError::InUse { path: path.display().to_string() }),
             Err(TryLockError::Error(source)) => Err(failed(source)),
         }
@@ -75,17 +93,66 @@ impl DataFolder {
         [DATABASE, "jobs.sqlite-wal", "jobs.sqlite-shm"].into_iter().try_for_each(private)
     }
 
+    /// Sees that there are no files of jobs whose database is not there: the next step would make an empty one, and then they
+    /// would be files that no job owns.
+    ///
+    /// # Errors
+    /// [`FolderError::NoDatabase`]
+    pub(super) fn check_database(&self) -> Result<(), FolderError> {
+        match lost_database(&self.path) {
+            Ok(None) => Ok(()),
+            Ok(Some(error)) => Err(error),
+            Err(source) => Err(FolderError::Io { path: self.blobs().display().to_string(), source }),
+        }
+    }
+
+    /// Notes what is in its place now: [`DataFolder::in_place`] says from then on whether it still is.
+    pub(super) fn anchor(&mut self) -> Result<(), FolderError> {
+        let (path, blobs) = (&self.path, self.blobs());
+        let anchors = || {
+            let mut anchors = vec![Anchor::folder("the data folder", path)?];
+            // Only where it is all that keeps a second process out: else, who removes it does no harm.
+            if self.locks.folder.is_none() {
+                anchors.push(Anchor::file("the file 'lock' in the data folder", &path.join(LOCK))?);
+            }
+            anchors.push(Anchor::file("the job database", &path.join(DATABASE))?);
+            anchors.push(Anchor::folder("the folder of meshes and results", &blobs)?);
+            Ok(anchors)
+        };
+        let failed = |source| FolderError::Io { path: path.display().to_string(), source };
+        self.anchors = anchors().map_err(failed)?;
+        Ok(())
+    }
+
+    /// Fails while the folder, its database or its blobs are not those that the service was started on.
+    ///
+    /// Blocks.
+    ///
+    /// # Errors
+    /// [`FolderError::Displaced`]; logged when it begins and ends.
+    pub(super) fn in_place(&self) -> Result<(), FolderError> {
+        let found = self.anchors.iter().try_for_each(Anchor::check);
+        match (&found, self.is_away.swap(found.is_err(), Ordering::Relaxed)) {
+            (Err(error), false) => tracing::error!(%error, "no job is taken, run or purged until then"),
+            (Ok(()), true) => tracing::info!("the data folder is in its place again"),
+            _ => {}
+        }
+        Ok(found?)
+    }
+
     /// Whether files can be made here, and so many bytes are free for them.
     ///
     /// Blocks.
     pub(super) fn check(&self, least: u64) -> Result<(), FolderError> {
+        self.in_place()?;
         try_write(&self.path.join("probe")).map_err(FolderError::Unwritable)?;
         let free = free(&self.path).map_err(FolderError::Unwritable)?;
         if free < least { Err(FolderError::NoRoom { free, least }) } else { Ok(()) }
     }
 
+    /// Of a database that is there: one that is gone must not come again, empty, with the next connection.
     pub fn database_url(&self) -> String {
-        format!("sqlite://{}?mode=rwc", percent_encoded(&self.path.join(DATABASE)))
+        format!("sqlite://{}?mode=rw", percent_encoded(&self.path.join(DATABASE)))
     }
 
     /// Gives the reserve back to the disk, so that a change of the database fits on a full one.
@@ -98,7 +165,12 @@ impl DataFolder {
     ///
     /// Blocks.
     pub(super) fn keep_reserve(&self) {
-        let Ok(mut file) = OpenOptions::new().create(true).append(true).open(self.reserve()) else { return };
+        if self.in_place().is_err() {
+            return;
+        }
+        let Ok(mut file) = own(OpenOptions::new().create(true).append(true)).open(self.reserve()) else {
+            return;
+        };
         let kept = file.metadata().map_or(0, |found| usize::try_from(found.len()).unwrap_or(RESERVE));
         let missing = incompressible(RESERVE.saturating_sub(kept));
         let mut write = || missing.chunks(RESERVE_STEP).try_for_each(|chunk| file.write_all(chunk));
@@ -126,27 +198,65 @@ impl Locks {
             // Not every file system locks folders (NFS does not).
             Err(TryLockError::Error(_)) => None,
         };
-        let file = OpenOptions::new().create(true).truncate(false).write(true).open(path.join(LOCK));
+        let file = own(OpenOptions::new().create(true).truncate(false).write(true)).open(path.join(LOCK));
         let file = file.map_err(TryLockError::Error)?;
         patient_lock(&file)?;
-        Ok(Self { _file: file, _folder: folder })
+        Ok(Self { _file: file, folder })
     }
 }
 
 /// Whether a service uses the folder now. Its locks are asked for and given back at once.
 pub fn is_in_use(path: &Path) -> bool {
     let is_taken = |lock: &File| matches!(lock.try_lock(), Err(TryLockError::WouldBlock));
-    let locks = [File::open(path), OpenOptions::new().write(true).open(path.join(LOCK))];
+    let locks = [File::open(path), own(OpenOptions::new().write(true)).open(path.join(LOCK))];
     locks.iter().flatten().any(is_taken)
+}
+
+/// Whether a data folder has files of jobs and no database of them.
+///
+/// # Errors
+/// When the folder cannot be read.
+pub(super) fn lost_database(path: &Path) -> io::Result<Option<FolderError>> {
+    let (blobs, database) = (path.join("blobs"), path.join(DATABASE));
+    // An empty file is none: it is what a start makes first.
+    let is_there = fs::metadata(&database).is_ok_and(|found| found.len() > 0);
+    if is_there || !has_files_of_jobs(&blobs)? {
+        return Ok(None);
+    }
+    let [blobs, database] = [blobs, database].map(|path| path.display().to_string());
+    Ok(Some(FolderError::NoDatabase { blobs, database }))
+}
+
+/// Whether a start would take something in this folder for files of jobs.
+fn has_files_of_jobs(blobs: &Path) -> io::Result<bool> {
+    let entries = match fs::read_dir(blobs) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+        entries => entries?,
+    };
+    for entry in entries {
+        let entry = entry?;
+        let is_of_job = entry.file_name().to_str().is_some_and(|name| name.parse::<JobId>().is_ok());
+        if is_of_job && entry.file_type()?.is_dir() && fs::read_dir(entry.path())?.next().is_some() {
+            return Ok(true);
+        }
+    }
+    Ok(false)
 }
 
 /// Whether a file can be made and written here; it is removed again.
 ///
 /// Blocks.
 pub(super) fn try_write(probe: &Path) -> io::Result<()> {
-    let written = fs::write(probe, b"rosaline");
+    let file = own(OpenOptions::new().create(true).truncate(true).write(true)).open(probe);
+    let written = file.and_then(|mut file| file.write_all(b"rosaline"));
     fs::remove_file(probe).ok();
     written
+}
+
+/// For a file of the service's own: a link in its place, which another user may have put there, is not followed, and a pipe
+/// not waited for.
+fn own(options: &mut OpenOptions) -> &mut OpenOptions {
+    options.custom_flags((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed())
 }
 
 /// Takes the lock; one that is taken is asked for a few times, as a look at it (`rosaline doctor`) takes it too.
@@ -239,7 +349,7 @@ mod tests {
             matches!(error, FolderError::InUse { .. })
                 && error.to_string().contains("another rosaline process")
         );
-        assert!(first.database_url().ends_with("a%20b%3F%23%25/data/jobs.sqlite?mode=rwc"));
+        assert!(first.database_url().ends_with("a%20b%3F%23%25/data/jobs.sqlite?mode=rw"));
         // As who finds the file left over would do.
         fs::remove_file(path.join(LOCK)).unwrap();
         assert!(matches!(DataFolder::open(&path), Err(FolderError::InUse { .. })) && is_in_use(&path));

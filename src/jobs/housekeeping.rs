@@ -45,6 +45,10 @@ pub(super) fn trusted_now(shared: &Shared, clock: &mut Steadiness) -> Option<i64
 
 /// One round; `now` is the time where the clock can be trusted. Asked again it may be another one.
 async fn round(shared: &Arc<Shared>, now: Option<i64>) {
+    // Nothing is removed meanwhile either. It is logged where it is found.
+    if shared.in_place().await.is_err() {
+        return;
+    }
     keep_reserve(shared).await;
     if let Err(error) = finish_purges(shared.store.as_ref(), shared.blobs.as_ref()).await {
         tracing::warn!(%error, "purges that were begun cannot be looked up");

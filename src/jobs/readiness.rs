@@ -15,11 +15,12 @@ impl JobService {
         if let Err(error) = self.shared.store.check().await {
             reasons.push(error.to_string());
         }
-        if let Err(error) = self.shared.blobs.check().await {
+        // Of a folder that is not in its place, everything else is wrong too.
+        if let Err(error) = self.shared.in_place().await {
             reasons.push(error.to_string());
-        }
-        if let Err(error) = self.check_folder().await {
-            reasons.push(error.to_string());
+        } else {
+            reasons.extend(self.shared.blobs.check().await.err().map(|error| error.to_string()));
+            reasons.extend(self.check_folder().await.err().map(|error| error.to_string()));
         }
         if self.shared.held.load(Ordering::Relaxed) >= self.shared.settings.workers.get() {
             reasons.push("every worker waits for a cancelled run that does not stop".to_owned());

@@ -58,6 +58,8 @@ impl JobService {
     /// Removes an ended job's files and then its row; whether it had ended.
     async fn purge(&self, id: JobId) -> Result<bool, JobError> {
         let shared = self.shared.clone();
+        // A file that is not at its path is taken for one that is gone.
+        shared.in_place().await?;
         let now = shared.clock.now_ms();
         let begun = self.with_reserve(|| shared.store.begin_purge(id, now)).await?;
         if begun {

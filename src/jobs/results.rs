@@ -82,6 +82,7 @@ impl Worker {
         if entry.cancel.is_cancelled() && self.phase() != Phase::Stopping {
             return Ok(false);
         }
+        self.shared.in_place().await?;
         let put = async |packed: &Packed| {
             let (format, coding) = (packed.format, packed.coding);
             let key = result_key(job, lease, format, coding);
@@ -95,6 +96,7 @@ impl Worker {
         if entry.cancel.is_cancelled() && self.phase() != Phase::Stopping {
             return Ok(false);
         }
+        self.shared.in_place().await?;
         Ok(self.shared.store.succeed(job.id, lease, &stored, self.shared.clock.now_ms()).await?)
     }
 

@@ -145,6 +145,7 @@ impl JobService {
         if self.phase() != Phase::Open {
             return Err(JobError::ShuttingDown);
         }
+        self.shared.in_place().await?;
         let id = self.ids.next();
         let key = format!("{id}/input");
         let info = self.shared.blobs.put(&key, body.boxed(), limit).await?;
@@ -192,6 +193,7 @@ impl JobService {
         if self.phase() != Phase::Open {
             return Err(JobError::ShuttingDown);
         }
+        self.shared.in_place().await?;
         if !self.shared.store.retry(id, self.shared.clock.now_ms()).await? {
             let job = self.row(id).await?;
             return Err(match (job.purging, job.status, job.input_removed) {
@@ -348,6 +350,7 @@ async fn accept(mut upload: Upload, spec: JobSpec) -> Result<Job, JobError> {
     let shared = upload.shared.clone();
     // An upload holds its input until it is taken here or in `drop`.
     let Some(input) = upload.input.clone() else { return Err(JobError::NotFound { id: upload.id }) };
+    shared.in_place().await?;
     let job = Job::accepted(upload.id, input, spec, shared.clock.now_ms());
     shared.board.accept(&job);
     if let Err(error) = shared.store.insert(&job).await {

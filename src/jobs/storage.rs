@@ -22,11 +22,13 @@ impl Storage {
     pub async fn local(data: &Path) -> Result<Self, JobError> {
         let data = data.to_owned();
         let (folder, blobs) = tokio::task::spawn_blocking(move || {
-            let folder = DataFolder::open(&data)?;
+            let mut folder = DataFolder::open(&data)?;
+            folder.check_database()?;
             // Until the service has started: a full disk must not keep it from that.
             folder.release_reserve();
             folder.keep_database_private()?;
             let blobs = LocalBlobs::open(&folder.blobs())?;
+            folder.anchor()?;
             Ok::<_, JobError>((folder, blobs))
         })
         .await??;

@@ -14,7 +14,7 @@ use tokio::sync::{Notify, oneshot, watch};
 use tracing::Instrument;
 
 use super::backoff::Backoff;
-use super::blob::{BlobError, BlobStore};
+use super::blob::BlobStore;
 use super::faults::{Operation, Side, pass};
 use super::live::{Board, Entry};
 use super::meter::Meter;
@@ -24,9 +24,6 @@ use super::store::{DeliveryStore, JobStore, StoreError};
 use super::timeline::Timeline;
 use super::watch::{flush, out_of_time, overdue};
 use super::{Clock, DataFolder, Doubt, Job, JobFailure, JobStage, JobStatus, Lease, Settings};
-
-/// Tries to read an input before its job fails.
-const READS: u32 = 5;
 
 /// Whether workers claim and run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -119,6 +116,11 @@ impl Worker {
         }) else {
             return;
         };
+        if self.shared.in_place().await.is_err() {
+            // It is logged where it is found. Others may wait for the slot to see it too.
+            drop(slot);
+            return self.pause(backoff.next()).await;
+        }
         match self.shared.store.claim(lease, self.shared.clock.now_ms()).await {
             Ok(Some(job)) => {
                 *backoff = Backoff::new();
@@ -238,32 +240,6 @@ impl Worker {
             // The fence of every later update decides.
             Err(_) => true,
         }
-    }
-
-    /// The input's bytes; `None` when the run is to stop.
-    async fn read_input(&mut self, job: &Job, entry: &Entry) -> Option<Result<Bytes, JobFailure>> {
-        entry.report(JobStage::Reading, 0.0);
-        let mut backoff = Backoff::new();
-        for left in (0..READS).rev() {
-            match self.shared.blobs.read(&job.input.key).await {
-                Ok(bytes) if bytes.len() as u64 == job.input.size => return Some(Ok(bytes)),
-                Ok(bytes) => {
-                    let detail = format!("{} bytes were stored and {} are left", job.input.size, bytes.len());
-                    return Some(Err(JobFailure::input_lost(detail)));
-                }
-                Err(BlobError::NotFound { .. }) => {
-                    return Some(Err(JobFailure::input_lost("its file is gone from the data folder")));
-                }
-                Err(error) => tracing::error!(%error, left, "cannot read the input"),
-            }
-            if left > 0 {
-                self.pause(backoff.next()).await;
-            }
-            if self.stops(entry) {
-                return None;
-            }
-        }
-        Some(Err(JobFailure::input_lost("the data folder's disk answers with errors")))
     }
 
     /// Whether this run is dismissed or to be put back.

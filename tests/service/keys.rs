@@ -11,7 +11,7 @@ use tempfile::TempDir;
 use crate::meshes;
 use crate::service::{Service, command, problem, without_settings};
 
-fn keys(data: &TempDir, arguments: &[&str]) -> Output {
+pub fn keys(data: &TempDir, arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
     without_settings(&mut command);
     command.env("ROSALINE_DATA", data.path());
@@ -19,13 +19,13 @@ fn keys(data: &TempDir, arguments: &[&str]) -> Output {
 }
 
 /// The key that a command prints.
-fn made(data: &TempDir, arguments: &[&str]) -> String {
+pub fn made(data: &TempDir, arguments: &[&str]) -> String {
     let output = keys(data, arguments);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap().trim().to_owned()
 }
 
-fn with(request: RequestBuilder, key: &str) -> RequestBuilder {
+pub fn with(request: RequestBuilder, key: &str) -> RequestBuilder {
     request.header("authorization", format!("Bearer {key}"))
 }
 

@@ -27,6 +27,7 @@ mod changes;
 mod damage;
 mod deletion;
 mod discovery;
+mod displaced;
 mod dry_run;
 mod events;
 #[cfg(debug_assertions)]
@@ -38,6 +39,7 @@ mod listing;
 mod load;
 mod log;
 mod metrics;
+mod operator_files;
 mod readiness;
 mod refusals;
 mod resend;

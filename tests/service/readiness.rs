@@ -114,11 +114,12 @@ async fn keys_that_cannot_be_read_are_a_fault_of_the_service() {
 }
 
 /// Starts the service as a user whose right to read a file can be taken away; `None` where that cannot be tried.
-fn as_a_user(data: &Arc<tempfile::TempDir>) -> Option<Service> {
+pub fn as_a_user(data: &Arc<tempfile::TempDir>, arguments: &[&str]) -> Option<Service> {
     use std::os::unix::process::CommandExt;
 
     const NOBODY: u32 = 65534;
     let mut command = command(data.path());
+    command.args(arguments);
     let files = std::fs::read_dir(data.path()).unwrap().map(|entry| entry.unwrap().path());
     let mut all = files.chain([data.path().to_owned()]);
     if all.all(|path| std::os::unix::fs::chown(path, Some(NOBODY), Some(NOBODY)).is_ok()) {
@@ -137,7 +138,7 @@ fn as_a_user(data: &Arc<tempfile::TempDir>) -> Option<Service> {
 async fn a_right_that_is_taken_away_counts_at_once_for_keys_and_readiness() {
     let data = Arc::new(tempfile::tempdir().unwrap());
     let key = told(data.path(), &["keys", "add", "pacs", "--scope", "submit,read"]);
-    let Some(service) = as_a_user(&data) else { return };
+    let Some(service) = as_a_user(&data, &[]) else { return };
     let file = data.path().join("keys.json");
     let allow = |mode: u32| {
         std::fs::set_permissions(&file, std::os::unix::fs::PermissionsExt::from_mode(mode)).unwrap();

@@ -145,8 +145,12 @@ impl KeyFile {
     /// # Errors
     /// [`KeyError::Named`] where there is none although it was named.
     pub fn read(&self) -> Result<Option<Vec<Key>>, KeyError> {
+        self.parsed(operator_file::read(&self.path))
+    }
+
+    fn parsed(&self, read: io::Result<Vec<u8>>) -> Result<Option<Vec<Key>>, KeyError> {
         let path = || self.path.display().to_string();
-        let text = match operator_file::read(&self.path) {
+        let text = match read {
             Ok(text) => text,
             Err(error) if is_absent(&error) && self.must_exist => {
                 return Err(KeyError::Named { path: path() });
@@ -205,11 +209,11 @@ impl KeyFile {
             // Before a lock is made beside it.
             self.read()?;
         }
-        let _lock = operator_file::lock(&self.path).map_err(failed)?;
-        let mut keys = self.list()?;
+        let file = operator_file::Change::begin(&self.path).map_err(failed)?;
+        let mut keys = self.parsed(file.read())?.unwrap_or_default();
         let changed = change(&mut keys)?;
         let text = serde_json::to_vec_pretty(&Kept { keys }).map_err(|error| failed(error.into()))?;
-        operator_file::replace(&self.path, &text).map_err(failed)?;
+        file.replace(&text).map_err(failed)?;
         Ok(changed)
     }
 }

@@ -53,7 +53,8 @@ impl From<JobError> for Problem {
                     .about(id)
             }
             JobError::Store(StoreError::Unavailable(_))
-            | JobError::Blob(BlobError::Storage(_) | BlobError::Folder(_)) => unavailable(&error),
+            | JobError::Blob(BlobError::Storage(_) | BlobError::Folder(_) | BlobError::Displaced(_))
+            | JobError::Folder(_) => unavailable(&error),
             JobError::Store(StoreError::KeyTaken) => idempotency::in_flight(),
             error => internal(&error),
         }

@@ -15,9 +15,10 @@ use sha2::{Digest, Sha256};
 use tokio::task::JoinHandle;
 
 use crate::jobs::faults::{self, Operation, Side};
+use crate::jobs::presence::Anchor;
 use crate::jobs::stamp::Stamp;
 
-use super::checked::Checked;
+use super::checked::{Checked, aside};
 use super::sending::{Proof, pieces};
 use super::{BlobBody, BlobError, BlobFuture, BlobInfo, BlobStore};
 
@@ -28,10 +29,12 @@ const SMALL: usize = 64 << 10;
 
 /// A folder of blobs.
 ///
-/// A blob is written to a staging file (`NAME#N`), fsynced, renamed into place, and its folder fsynced.
+/// A blob is written to a staging file (`NAME#N`), fsynced, renamed into place, and its folder fsynced. Once it is open,
+/// another folder at the same path is none of it.
 pub struct LocalBlobs {
     files: LocalFileSystem,
     root: PathBuf,
+    anchor: Arc<Anchor>,
     checked: Arc<Checked>,
 }
 
@@ -41,19 +44,60 @@ impl LocalBlobs {
     /// Blocks; no other process may use the folder.
     pub fn open(root: &Path) -> Result<Self, BlobError> {
         crate::jobs::folder::create(root).map_err(BlobError::Folder)?;
+        let root = &fs::canonicalize(root).map_err(BlobError::Folder)?;
         let removed = remove_staged(root).map_err(BlobError::Folder)?;
         if removed > 0 {
             tracing::info!(files = removed, "removed half-written files");
         }
         let files = LocalFileSystem::new_with_prefix(root)?.with_fsync(true).with_automatic_cleanup(true);
-        Ok(Self { files, root: root.to_owned(), checked: Checked::new() })
+        let anchor = Anchor::folder("the folder of meshes and results", root).map_err(BlobError::Folder)?;
+        Ok(Self { files, root: root.to_owned(), anchor: Arc::new(anchor), checked: Checked::new() })
     }
 }
 
 impl LocalBlobs {
     /// Tells a blob that is gone from a folder that is: of a disk that was taken away nothing is known.
-    fn is_there(&self) -> Result<(), BlobError> {
-        if self.root.is_dir() { Ok(()) } else { Err(BlobError::Folder(io::ErrorKind::NotFound.into())) }
+    async fn is_there(&self) -> Result<(), BlobError> {
+        let anchor = self.anchor.clone();
+        aside(move || Ok(anchor.check())).await.map_err(BlobError::Folder)??;
+        Ok(())
+    }
+
+    /// That a blob is gone, unless its folder is.
+    async fn seen(&self, error: BlobError) -> BlobError {
+        match error {
+            BlobError::NotFound { .. } => self.is_there().await.err().unwrap_or(error),
+            error => error,
+        }
+    }
+
+    /// Makes the folder of a blob: object_store would make the root again too where that was taken away.
+    async fn make_folder(&self, key: &str) -> Result<(), BlobError> {
+        let (root, file) = (self.root.clone(), self.path(key)?);
+        aside(move || make_below(&root, &file)).await.map_err(BlobError::Folder)
+    }
+
+    async fn write(&self, key: &str, body: BlobBody<'_>, limit: u64) -> Result<BlobInfo, BlobError> {
+        let [create, ..] = points(key);
+        point(create, Side::Before)?;
+        self.is_there().await?;
+        self.make_folder(key).await?;
+        // Dropping the upload removes its staging file.
+        let upload =
+            self.files.put_multipart(&Key::from(key)).await.map_err(|error| classified(key, error))?;
+        point(create, Side::After)?;
+        let mut writer = Writer { key, upload, hash: Sha256::new(), size: 0, part: BytesMut::new() };
+        let kept = match writer.write(body, limit).await {
+            // It may have been written beside the store.
+            Ok(()) => self.is_there().await,
+            failed => failed,
+        };
+        if let Err(error) = kept {
+            // Its folder's sync may have failed with the file in its place.
+            self.files.delete(&Key::from(key)).await.ok();
+            return Err(error);
+        }
+        Ok(BlobInfo { size: writer.size, sha256: hex(writer.hash) })
     }
 
     fn path(&self, key: &str) -> Result<PathBuf, BlobError> {
@@ -62,8 +106,26 @@ impl LocalBlobs {
 
     /// What is in a blob, and its file's stamp.
     async fn found(&self, key: &str) -> Result<(Stamp, BlobInfo), BlobError> {
-        self.checked.info(self.path(key)?, looked_at).await.map_err(|error| unread(key, error))
+        match self.checked.info(self.path(key)?, looked_at).await {
+            Ok(found) => Ok(found),
+            Err(error) => Err(self.seen(unread(key, error)).await),
+        }
     }
+}
+
+/// Makes the folders of `file` below `root`, which is there or else this fails, and sees that they stay.
+fn make_below(root: &Path, file: &Path) -> io::Result<()> {
+    let folders = file.ancestors().skip(1).take_while(|folder| *folder != root);
+    for folder in folders.collect::<Vec<_>>().into_iter().rev() {
+        match fs::create_dir(folder) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+            made => {
+                made?;
+                fs::File::open(folder.parent().unwrap_or(root))?.sync_all()?;
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Why a blob's file could not be read.
@@ -72,6 +134,14 @@ fn unread(key: &str, error: io::Error) -> BlobError {
     match error.kind() {
         io::ErrorKind::NotFound => BlobError::NotFound { key: key() },
         io::ErrorKind::InvalidData => BlobError::Changed { key: key() },
+        _ => BlobError::Folder(error),
+    }
+}
+
+/// Why a file could not be written.
+pub(super) fn unwritten(error: io::Error) -> BlobError {
+    match error.kind() {
+        io::ErrorKind::StorageFull => BlobError::Full,
         _ => BlobError::Folder(error),
     }
 }
@@ -135,10 +205,7 @@ pub(super) fn hex(hash: Sha256) -> String {
 
 /// Passes a point.
 fn point(operation: Operation, side: Side) -> Result<(), BlobError> {
-    faults::pass(operation, side).map_err(|error| match error.kind() {
-        io::ErrorKind::StorageFull => BlobError::Full,
-        _ => BlobError::Folder(error),
-    })
+    faults::pass(operation, side).map_err(unwritten)
 }
 
 /// The points of a blob's creation, of its writes, and of its commit.
@@ -215,19 +282,14 @@ impl Writer<'_> {
 impl BlobStore for LocalBlobs {
     fn put<'a>(&'a self, key: &'a str, body: BlobBody<'a>, limit: u64) -> BlobFuture<'a, BlobInfo> {
         async move {
-            let failed = |error| classified(key, error);
-            let [create, ..] = points(key);
-            point(create, Side::Before)?;
-            // Dropping the upload removes its staging file.
-            let upload = self.files.put_multipart(&Key::from(key)).await.map_err(failed)?;
-            point(create, Side::After)?;
-            let mut writer = Writer { key, upload, hash: Sha256::new(), size: 0, part: BytesMut::new() };
-            if let Err(error) = writer.write(body, limit).await {
-                // Its folder's sync may have failed with the file in its place.
-                self.files.delete(&Key::from(key)).await.ok();
-                return Err(error);
+            match self.write(key, body, limit).await {
+                // What was being written is gone, by nobody's order.
+                Err(error @ BlobError::NotFound { .. }) => {
+                    self.is_there().await?;
+                    Err(BlobError::Folder(io::Error::other(error)))
+                }
+                written => written,
             }
-            Ok(BlobInfo { size: writer.size, sha256: hex(writer.hash) })
         }
         .boxed()
     }
@@ -251,7 +313,10 @@ impl BlobStore for LocalBlobs {
                 }
             };
             let changed = key.to_owned();
-            let pieces = pieces(&path, range, proof).await.map_err(|error| unread(key, error))?;
+            let pieces = match pieces(&path, range, proof).await {
+                Ok(pieces) => pieces,
+                Err(error) => return Err(self.seen(unread(key, error)).await),
+            };
             Ok(pieces.map_err(move |error| io::Error::other(unread(&changed, error))).boxed())
         }
         .boxed()
@@ -263,8 +328,11 @@ impl BlobStore for LocalBlobs {
 
     fn read<'a>(&'a self, key: &'a str) -> BlobFuture<'a, Bytes> {
         async move {
-            let failed = |error| classified(key, error);
-            self.files.get(&Key::from(key)).await.map_err(failed)?.bytes().await.map_err(failed)
+            let whole = async { self.files.get(&Key::from(key)).await?.bytes().await };
+            match whole.await {
+                Ok(bytes) => Ok(bytes),
+                Err(error) => Err(self.seen(classified(key, error)).await),
+            }
         }
         .boxed()
     }
@@ -272,9 +340,10 @@ impl BlobStore for LocalBlobs {
     fn delete<'a>(&'a self, key: &'a str) -> BlobFuture<'a, ()> {
         async move {
             point(Operation::FileDelete, Side::Before)?;
+            self.is_there().await?;
             match self.files.delete(&Key::from(key)).await {
                 Ok(()) => point(Operation::FileDelete, Side::After),
-                Err(object_store::Error::NotFound { .. }) => self.is_there(),
+                Err(object_store::Error::NotFound { .. }) => self.is_there().await,
                 Err(error) => Err(classified(key, error)),
             }
         }
@@ -283,10 +352,12 @@ impl BlobStore for LocalBlobs {
 
     fn list<'a>(&'a self, folder: &'a str) -> BlobFuture<'a, Vec<String>> {
         async move {
-            self.is_there()?;
+            self.is_there().await?;
             let prefix = Key::from(folder);
             let listed = self.files.list(if folder.is_empty() { None } else { Some(&prefix) });
             let objects: Vec<_> = listed.try_collect().await.map_err(|error| classified("", error))?;
+            // One that was taken away meanwhile looks empty.
+            self.is_there().await?;
             Ok(objects.into_iter().map(|object| object.location.to_string()).collect())
         }
         .boxed()
@@ -294,12 +365,11 @@ impl BlobStore for LocalBlobs {
 
     fn check(&self) -> BlobFuture<'_, ()> {
         async move {
+            self.is_there().await?;
             let probe = self.root.join("probe#check");
             let written = tokio::task::spawn_blocking(move || crate::jobs::folder::try_write(&probe));
             match written.await {
-                Ok(Ok(())) => Ok(()),
-                Ok(Err(error)) if error.kind() == io::ErrorKind::StorageFull => Err(BlobError::Full),
-                Ok(Err(error)) => Err(BlobError::Folder(error)),
+                Ok(written) => written.map_err(unwritten),
                 Err(error) => Err(BlobError::Folder(io::Error::other(error))),
             }
         }

@@ -13,6 +13,7 @@ use bytes::Bytes;
 use futures::future::BoxFuture;
 use futures::stream::BoxStream;
 
+use super::Displaced;
 pub use local::LocalBlobs;
 
 /// Why the blob store did not do as asked.
@@ -34,6 +35,8 @@ pub enum BlobError {
     Storage(#[from] object_store::Error),
     #[error("the blob folder cannot be used: {0}")]
     Folder(io::Error),
+    #[error(transparent)]
+    Displaced(#[from] Displaced),
 }
 
 /// What a blob method answers.

@@ -133,24 +133,26 @@ async fn a_check_fails_when_the_folder_is_gone() {
     store.check().await.unwrap();
     assert!(files(dir.path()).is_empty(), "a check leaves no trace");
     fs::remove_dir_all(dir.path()).unwrap();
-    assert!(matches!(store.check().await, Err(BlobError::Folder(_))));
+    assert!(matches!(store.check().await, Err(BlobError::Displaced(_))));
     assert!(
-        matches!(store.delete("a/input").await, Err(BlobError::Folder(_))),
+        matches!(store.delete("a/input").await, Err(BlobError::Displaced(_))),
         "nobody knows whether it is gone"
     );
-    assert!(matches!(store.list("").await, Err(BlobError::Folder(_))));
+    assert!(matches!(store.list("").await, Err(BlobError::Displaced(_))));
+    assert!(matches!(store.put("a/input", body(vec![vec![1]]), 1).await, Err(BlobError::Displaced(_))));
+    assert!(!dir.path().exists(), "it is not made again");
 }
 
 #[cfg(unix)]
-#[tokio::test]
-async fn a_full_disk_is_told_from_other_failures() {
+#[test]
+fn a_full_disk_is_told_from_other_failures() {
     // /dev/full refuses every write with ENOSPC; where there is none, there is nothing to try.
     if !Path::new("/dev/full").exists() {
         println!("skipped: no /dev/full here");
         return;
     }
-    let dir = tempfile::tempdir().unwrap();
-    let store = LocalBlobs::open(dir.path()).unwrap();
-    std::os::unix::fs::symlink("/dev/full", dir.path().join("probe#check")).unwrap();
-    assert!(matches!(store.check().await, Err(BlobError::Full)));
+    let full = fs::write("/dev/full", "x").unwrap_err();
+    assert!(matches!(local::unwritten(full), BlobError::Full));
+    let other = fs::write("/dev/full/x", "x").unwrap_err();
+    assert!(matches!(local::unwritten(other), BlobError::Folder(_)));
 }

@@ -310,6 +310,15 @@ mod tests {
     }
 
     #[test]
+    fn a_negative_count_is_said_with_its_place() {
+        let bytes = ascii(&format!("{VERTICES}{FACES}"), &SQUARE.replace("3 0 2 3", "-3 0 2 3"));
+        let end = bytes.len() - " 0 2 3".len();
+        let said = format!("a count is -3, which is negative; it ends at byte {end}, line 15;");
+        let error = ply(&bytes).unwrap_err().to_string();
+        assert!(error.contains(&said), "{error}");
+    }
+
+    #[test]
     fn what_is_wrong_is_said() {
         let body = |body: &str| ascii(&format!("{VERTICES}{FACES}"), body);
         let head = |head: &str| ascii(head, SQUARE);

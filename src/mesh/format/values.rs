@@ -45,7 +45,7 @@ impl<'a> Values<'a> {
     pub(super) fn count(&mut self, scalar: Scalar) -> Result<usize, ReadError> {
         let count = self.integer(scalar)?;
         usize::try_from(count)
-            .map_err(|_| self.tokens.malformed(&format!("there is a count of {count} before")))
+            .map_err(|_| self.tokens.malformed(&format!("a count is {count}, which is negative; it ends")))
     }
 
     /// Puts the next `count` integers into `list`.

@@ -162,7 +162,11 @@ impl TargetFile {
     /// # Errors
     /// [`TargetError::Missing`] where there is none although it was named.
     pub fn read(&self) -> Result<Option<Vec<Target>>, TargetError> {
-        let text = match operator_file::read(&self.path) {
+        self.parsed(operator_file::read(&self.path))
+    }
+
+    fn parsed(&self, read: io::Result<Vec<u8>>) -> Result<Option<Vec<Target>>, TargetError> {
+        let text = match read {
             Ok(text) => text,
             Err(error) if error.kind() == io::ErrorKind::NotFound && self.must_exist => {
                 return Err(self.missing());
@@ -243,11 +247,11 @@ impl TargetFile {
             // Before a lock is made beside it.
             self.read()?;
         }
-        let _lock = operator_file::lock(&self.path).map_err(|source| self.failed(source))?;
-        let mut targets = self.list()?;
+        let file = operator_file::Change::begin(&self.path).map_err(|source| self.failed(source))?;
+        let mut targets = self.parsed(file.read())?.unwrap_or_default();
         change(&mut targets)?;
         let text = serde_json::to_vec_pretty(&Kept { targets }).map_err(|error| self.failed(error.into()))?;
-        operator_file::replace(&self.path, &text).map_err(|source| self.failed(source))
+        file.replace(&text).map_err(|source| self.failed(source))
     }
 
     fn failed(&self, source: io::Error) -> TargetError {
