@@ -347,7 +347,10 @@ fn what_is_made_where_nobody_said_is_told_to_be_there() {
         "{output:?}"
     );
     let output = done(folder.path(), &[&key[..], &["--data", "other"]].concat());
-    assert!(output.stderr.is_empty() && folder.path().join("other/keys.json").is_file(), "{output:?}");
+    let made = text(&output.stderr).contains("there was no data folder other");
+    assert!(made && folder.path().join("other/keys.json").is_file(), "{output:?}");
+    let again = done(folder.path(), &["keys", "add", "viewer", "--scope", "read", "--data", "other"]);
+    assert!(again.stderr.is_empty(), "{again:?}");
 }
 
 /// It may be right, as its key may be made later: then it is told, and the target is added all the same.

@@ -12,6 +12,7 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::net::IpAddr;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -46,6 +47,10 @@ pub struct Trail {
     path: PathBuf,
     rotate_at: u64,
     file: Mutex<File>,
+    /// That of the file, kept open: no other gets its numbers.
+    folder: File,
+    /// Whether it was in its place when it was looked at last.
+    was_there: AtomicBool,
     refusals: Mutex<Refusals>,
 }
 
@@ -57,8 +62,9 @@ impl Trail {
     }
 
     fn with_minute(path: &Path, rotate_at: u64, minute: Duration) -> io::Result<Self> {
-        let file = Mutex::new(open(path)?);
-        Ok(Self { path: path.to_owned(), rotate_at, file, refusals: Mutex::new(Refusals::new(minute)) })
+        let (file, folder) = (Mutex::new(open(path)?), File::open(folder_of(path))?);
+        let (refusals, was_there) = (Mutex::new(Refusals::new(minute)), AtomicBool::new(true));
+        Ok(Self { path: path.to_owned(), rotate_at, file, folder, was_there, refusals })
     }
 
     /// Adds a line, if this is to be told, and waits until it is on disk. A refusal may be told later, with others.
@@ -105,10 +111,12 @@ impl Trail {
 
     fn add(&self, line: &str) -> io::Result<()> {
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Err(error) = self.follow(&mut file) {
+        let in_place = self.is_folder_in_place();
+        if in_place && let Err(error) = self.follow(&mut file) {
             tracing::error!(%error, "the audit trail's file was moved or removed, and no other can be begun; it goes on in that one");
         }
-        if file.metadata()?.len() >= self.rotate_at
+        if in_place
+            && file.metadata()?.len() >= self.rotate_at
             && let Err(error) = self.rotate(&mut file)
         {
             tracing::error!(%error, "the audit trail cannot be set aside; it goes on in its file");
@@ -116,6 +124,23 @@ impl Trail {
         // One write, so that a crash leaves no half of a line but the last.
         between(Operation::AuditWrite, || file.write_all(line.as_bytes()))?;
         between(Operation::AuditSync, || file.sync_data())
+    }
+
+    /// Whether the folder that the trail was begun in is where it was: in the place of one that was moved or unmounted
+    /// nothing is begun. What has changed is logged once.
+    fn is_folder_in_place(&self) -> bool {
+        let of = |found: fs::Metadata| (found.dev(), found.ino());
+        let held = self.folder.metadata().map(of).ok();
+        let is_there = held.is_some() && fs::metadata(folder_of(&self.path)).map(of).ok() == held;
+        if self.was_there.swap(is_there, Ordering::Relaxed) != is_there {
+            match is_there {
+                true => tracing::info!("the audit trail's folder is back"),
+                false => tracing::error!(
+                    "the audit trail's folder is not in its place; it goes on in the file that is open"
+                ),
+            }
+        }
+        is_there
     }
 
     /// Begins another file where somebody moved or removed the one that is open: nobody would look for lines there.
@@ -178,6 +203,10 @@ async fn off_the_async_threads(trail: &Arc<Trail>, action: impl FnOnce(&Trail) +
     if let Err(error) = tokio::task::spawn_blocking(move || action(&trail)).await {
         tracing::error!(%error, "the audit trail cannot be added to");
     }
+}
+
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."))
 }
 
 /// For adding. What a crash left of a line stays as it is; the next one must not be taken for its end.
@@ -279,13 +308,13 @@ mod tests {
     fn refusals_have_a_sum_and_what_was_let_in_has_lines() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("audit.jsonl");
-        let trail = Trail::with_minute(&path, 1 << 20, Duration::from_millis(200)).unwrap();
+        let trail = Trail::open(&path, 1 << 20).unwrap();
         for _ in 0..100 {
             tell(&trail, Method::POST, "/v1/jobs", StatusCode::FORBIDDEN);
             tell(&trail, Method::POST, "/v1/jobs", StatusCode::CREATED);
             tell(&trail, Method::GET, "/v1/jobs/x", StatusCode::OK);
         }
-        trail.tell_sums(Instant::now() + Duration::from_secs(1));
+        trail.tell_sums(Instant::now() + Duration::from_secs(3600));
         let lines = lines(&path);
         let of = |name: &str| -> Vec<&Value> {
             let is = |line: &&Value| line["EventIdentification"]["EventID"]["originalText"] == name;

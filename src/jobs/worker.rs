@@ -134,6 +134,7 @@ impl Worker {
                 self.shared.wake.notify_one();
             }
             Ok(None) => {
+                *backoff = Backoff::new();
                 let poll = self.shared.settings.poll;
                 let shared = self.shared.clone();
                 tokio::select! {

@@ -74,7 +74,7 @@ pub(super) fn cap(
 }
 
 /// Whether a rim is that of a hole torn in the wall: there the wall around it faces where the hole does, around the
-/// opening of a vessel it faces aside. O(triangles that touch the rim).
+/// opening of a vessel it faces aside. O(triangles near the rim).
 fn is_hole(mesh: &TriangleMesh, opposite: &[u32], rim_edges: &[u32]) -> bool {
     /// Mean cosine of the angle between both from which a hole is one. Around a vessel that widens or narrows toward
     /// its cut by less than 30 degrees it is lower.
@@ -84,17 +84,43 @@ fn is_hole(mesh: &TriangleMesh, opposite: &[u32], rim_edges: &[u32]) -> bool {
     // The rim runs with the wall on its left, a cap against it.
     let hole: Vector3<f64> = rim_edges.iter().map(|&h| (at(next(h)) - first).cross(&(at(h) - first))).sum();
     let (mut facing, mut all) = (0.0, 0.0);
+    for t in wall_around(mesh, opposite, rim_edges) {
+        let area = mesh.area_vector(t);
+        facing += area.dot(&hole);
+        all += area.norm() * hole.norm();
+    }
+    facing > FACING * all
+}
+
+/// The triangles that touch a rim, and those within half its radius of it: marching cubes leaves a chamfer around a cut.
+fn wall_around(mesh: &TriangleMesh, opposite: &[u32], rim_edges: &[u32]) -> Vec<u32> {
+    const NEAR: f64 = 0.5;
+    let at = |h: u32| mesh.vertices[mesh.triangles[(h / 3) as usize][(h % 3) as usize] as usize];
+    let length: f64 = rim_edges.iter().map(|&h| (at(next(h)) - at(h)).norm()).sum();
+    let reach = NEAR * length / std::f64::consts::TAU;
+    let mut seen = FxHashSet::default();
+    // Each with the place on the rim that it was come to from.
+    let mut found: Vec<(u32, Point3<f64>)> = Vec::new();
     for &edge in rim_edges {
         // The triangles around the edge's first vertex, up to the rim's edge before.
         let mut spoke = edge;
         while spoke != NONE {
-            let area = (at(next(spoke)) - at(spoke)).cross(&(at(previous(spoke)) - at(spoke)));
-            facing += area.dot(&hole);
-            all += area.norm() * hole.norm();
+            if seen.insert(spoke / 3) {
+                found.push((spoke / 3, at(edge)));
+            }
             spoke = opposite[previous(spoke) as usize];
         }
     }
-    facing > FACING * all
+    let mut place = 0;
+    while let Some(&(t, from)) = found.get(place) {
+        place += 1;
+        for o in (3 * t..3 * t + 3).map(|h| opposite[h as usize]).filter(|&o| o != NONE) {
+            if (at(previous(o)) - from).norm() < reach && seen.insert(o / 3) {
+                found.push((o / 3, from));
+            }
+        }
+    }
+    found.into_iter().map(|(t, _)| t).collect()
 }
 
 /// The boundary half-edges of one opening, each starting where the one before ends.

@@ -167,3 +167,16 @@ fn a_picked_end_is_kept_when_its_cut_is_opened() {
     check(&found, |_| 2.0, [0.2, 0.1, 0.4], "with a root");
     assert!(found.centerline.nodes[0].position.z > 29.0, "{:?}", found.centerline.nodes);
 }
+
+/// Marching cubes leaves a chamfer around a flat cap, and the wall beside the rim faces half outward: an opening was taken
+/// for a hole, where no vessel was cut.
+#[test]
+fn a_cap_of_marching_cubes_that_was_taken_off_leaves_an_opening() {
+    let tube = |p: &Point3<f64>| (p.x.hypot(p.y) - 3.0).max(p.z.abs() - 12.0);
+    let mut mesh = implicit([-4.0, -4.1, -13.0], [4.0, 4.0, 13.0], 0.304, tube);
+    let TriangleMesh { vertices, triangles } = &mut mesh;
+    triangles.retain(|corners| corners.iter().any(|&v| vertices[v as usize].z.abs() < 11.999));
+    let found = extract(&mesh, &Parameters::default(), &Control::silent()).unwrap();
+    assert_eq!(found.surface.openings, 2, "{:?}", found.warnings);
+    assert!(found.warnings.iter().all(|warning| warning.code != "holes-closed"), "{:?}", found.warnings);
+}

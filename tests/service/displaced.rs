@@ -60,6 +60,8 @@ async fn a_data_folder_that_is_moved_or_replaced_takes_nothing_until_it_is_back(
         "storage-unavailable",
     )
     .await;
+    // Nor does the audit trail begin anew there.
+    assert_eq!(names(&data), ["blobs"]);
     assert!(names(&data.join("blobs")).is_empty());
     assert_eq!(names(&moved.join("blobs")), kept);
 

@@ -29,20 +29,23 @@ impl Pruning<'_> {
         leaf.last().map(|&first| (first, self.graph.arcs[first as usize].base_length / TAU))
     }
 
-    /// Radius of the widest branch that goes on upward beside a leaf, whose own is `radius`. Where it begins narrower it may
-    /// be a throat, in front of which the front leaves a pocket of the wall for later: behind it the vessel is as wide as
-    /// before.
-    fn sibling_radius(&self, base: u32, leaf: &[u32], radius: f64) -> f64 {
-        /// Where to look behind a throat, in radii of the leaf.
+    /// Radius of the widest branch that goes on upward beside a leaf, where it begins.
+    fn sibling_radius(&self, base: u32, leaf: &[u32]) -> f64 {
+        let arc = self.widest_beside(leaf, base, true);
+        arc.map_or(f64::INFINITY, |arc| self.graph.arcs[arc as usize].base_length / TAU)
+    }
+
+    /// The same over some of a leaf's own radii, where it begins narrower: it may be a throat, in front of which the front
+    /// leaves a pocket of the wall for later, and behind which the vessel is as wide as before.
+    fn behind_throat(&self, base: u32, leaf: &[u32], (sibling, radius): (f64, f64)) -> f64 {
+        /// Where to look, in radii of the leaf.
         const BEHIND: [f64; 4] = [1.0, 2.0, 3.0, 4.0];
-        let Some(arc) = self.widest_beside(leaf, base, true) else { return f64::INFINITY };
-        let first = self.graph.arcs[arc as usize].base_length / TAU;
-        if first >= radius {
-            return first;
-        }
+        let Some(arc) = self.widest_beside(leaf, base, true).filter(|_| sibling < radius) else {
+            return sibling;
+        };
         let level = self.graph.nodes[base as usize].level;
         let behind = BEHIND.iter().filter_map(|far| self.beyond(arc, level, far * radius));
-        behind.map(|ring| ring.area_radius()).fold(first, f64::max)
+        behind.map(|ring| ring.area_radius()).fold(sibling, f64::max)
     }
 
     /// Whether a leaf is high enough over its base to be a branch; `height` is its rise of distance,
@@ -53,13 +56,14 @@ impl Pruning<'_> {
         /// Largest hole in a wall, in radii of the vessel.
         const HOLE: f64 = 0.25;
         let Some((first, radius)) = self.base_of(arcs) else { return false };
-        let beside = self.sibling_radius(base, arcs, radius);
+        let sibling = self.sibling_radius(base, arcs);
         let first = &self.graph.arcs[first as usize];
         let open = self.opening_at(leaf).filter(|opening| !opening.was_closed);
         // The vessel was cut here, however shortly; a small opening straight in the wall is a hole.
-        if open.is_some_and(|opening| !beside.is_finite() || opening.radius >= HOLE * beside) {
+        if open.is_some_and(|opening| !sibling.is_finite() || opening.radius >= HOLE * sibling) {
             return true;
         }
+        let beside = self.behind_throat(base, arcs, (sibling, radius));
         let height = height - self.rise_of_cap(leaf);
         let sample = (first.base_length / f64::from(first.base_edges.max(1))).max(self.edge_at(leaf));
         let least = (tip_height * radius.min(beside)).max(SAMPLES * sample);
@@ -172,8 +176,8 @@ impl Pruning<'_> {
         let ring = self.rings(first).next()?;
         // Of what few edges show nobody asks.
         let beside = if edges < EDGES { None } else { self.radius_beside(arcs, base, stays) };
-        let over =
-            self.over_vessel(arcs, base, leaf, radius).filter(|_| edges >= EDGES).map(|(over, _)| over);
+        let over = if edges < EDGES { None } else { self.over_vessel(arcs, base, leaf, radius) };
+        let over = over.map(|(over, _)| over);
         Some(ShortTip { leaf, base: ring.centroid, radius, height, beside, over })
     }
 

@@ -96,8 +96,8 @@ impl Branching {
         Some(Warning {
             code: "short-branch",
             detail: format!(
-                "{} places stand up to {highest:.1} of their radii over their vessel and were taken for bumps, the highest \
-                 near {}: short branches may be missing there; a point in include makes one an end",
+                "the wall stands up to {highest:.1} radii over its vessel and was taken for bumps ({} in all), the highest near {}: \
+                 short branches may be missing there; a point in include makes one an end",
                 missed.len(),
                 places.join(", ")
             ),

@@ -116,7 +116,10 @@ impl Refusals {
     /// The same of a minute that has not ended.
     pub(super) fn take(&mut self) -> Vec<(Sender, Sum)> {
         self.begin = None;
-        self.counts.drain().filter_map(|(sender, count)| Some((sender, count.sum?))).collect()
+        let mut sums: Vec<(Sender, Sum)> =
+            self.counts.drain().filter_map(|(sender, count)| Some((sender, count.sum?))).collect();
+        sums.sort_by_key(|(_, sum)| sum.first);
+        sums
     }
 }
 
