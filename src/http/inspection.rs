@@ -12,7 +12,8 @@ use crate::mesh::preparation::{PreparationError, PreparationReport, Prepared, Si
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(title = "Inspection")]
 pub struct Inspection {
-    /// Whether a job would go on to extract; what is `repaired` does not stand in its way.
+    /// Whether a job would go on to extract; what is `repaired` does not stand in its way. Whether the surface is a vessel
+    /// (`not-tubular`, `undersampled`) only a job finds out.
     acceptable: bool,
     /// The format that the reader found the content to be.
     #[schema(example = "stl")]

@@ -66,7 +66,7 @@ async fn take_apart(
                 return Err(Problem::new(&MALFORMED_REQUEST, "the form has a part twice; send each once"));
             }
             _ => {
-                let detail = "the form has a part that is neither 'mesh' nor 'parameters'; leave it out";
+                let detail = "the form has a part that is neither 'mesh' nor 'parameters'; name the mesh's part 'mesh', put parameters into the JSON of 'parameters' or into the query, and leave others out";
                 return Err(Problem::new(&MALFORMED_REQUEST, detail));
             }
         }
