@@ -15,9 +15,10 @@ pub const CONTENT_DIGEST: HeaderName = HeaderName::from_static("content-digest")
 /// 400 when the header's SHA-256 is none.
 pub fn sha256(headers: &HeaderMap) -> Result<Option<String>, Problem> {
     let lists = headers.get_all(&CONTENT_DIGEST).iter().filter_map(|value| value.to_str().ok());
-    let members = lists.flat_map(|list| list.split(',')).filter_map(|member| member.trim().split_once('='));
+    let mut members =
+        lists.flat_map(|list| list.split(',')).filter_map(|member| member.trim().split_once('='));
     // Of one name the last counts, and parameters may follow a value (RFC 8941, sections 4.2.2 and 3.1.2).
-    let Some((_, value)) = members.filter(|(name, _)| *name == "sha-256").last() else { return Ok(None) };
+    let Some((_, value)) = members.rfind(|(name, _)| *name == "sha-256") else { return Ok(None) };
     let value = value.split(';').next().unwrap_or_default().trim_end();
     let text = value.strip_prefix(':').and_then(|value| value.strip_suffix(':'));
     match text.and_then(|text| STANDARD.decode(text).ok()) {
