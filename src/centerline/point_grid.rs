@@ -6,7 +6,8 @@ type Cell = [i64; 3];
 
 /// Points sorted into cubes of one size; a query looks into the cubes that its ball can touch.
 ///
-/// Building takes `O(n log n)`; a query of radius up to the cube's size looks into 27 cubes. The order of
+/// Building takes `O(n log n)`; a query of radius up to the cube's size looks into 27 cubes, one of any radius at no
+/// more rows of cubes than there are cubes with points. The order of
 /// the answer depends on the points alone.
 #[derive(Debug, Clone)]
 pub struct PointGrid {
@@ -43,9 +44,20 @@ impl PointGrid {
 
     /// Calls `visit(index, distance)` for every point closer to `centre` than `radius`.
     pub fn for_each_within(&self, centre: &Point3<f64>, radius: f64, mut visit: impl FnMut(usize, f64)) {
+        let mut look_at = |index: u32| {
+            let distance = (self.points[index as usize] - centre).norm();
+            if distance < radius {
+                visit(index as usize, distance);
+            }
+        };
         let corner = Vector3::repeat(radius);
         let (low, high) =
             (cell_of(&(centre - corner), self.cell_size), cell_of(&(centre + corner), self.cell_size));
+        let rows = |axis: usize| (high[axis].saturating_sub(low[axis]) as usize).saturating_add(1);
+        if rows(0).saturating_mul(rows(1)) > self.cells.len() {
+            // A ball of so many cubes' size: most of its rows are empty.
+            return self.order.iter().for_each(|&index| look_at(index));
+        }
         for x in low[0]..=high[0] {
             for y in low[1]..=high[1] {
                 let first = self.cells.partition_point(|(cell, _)| *cell < [x, y, low[2]]);
@@ -55,12 +67,7 @@ impl PointGrid {
                 }
                 let start = self.cells[first].1 as usize;
                 let end = self.cells.get(first + row).map_or(self.order.len(), |(_, start)| *start as usize);
-                for &index in &self.order[start..end] {
-                    let distance = (self.points[index as usize] - centre).norm();
-                    if distance < radius {
-                        visit(index as usize, distance);
-                    }
-                }
+                self.order[start..end].iter().for_each(|&index| look_at(index));
             }
         }
     }
@@ -102,6 +109,14 @@ mod tests {
                 assert_eq!(found, expected);
             }
         }
+    }
+
+    #[test]
+    fn a_ball_of_any_size_is_looked_through_at_once() {
+        let grid = PointGrid::new(cloud(500), 1e-12);
+        let mut count = 0;
+        grid.for_each_within(&Point3::origin(), 1e12, |_, _| count += 1);
+        assert_eq!(count, 500);
     }
 
     #[test]

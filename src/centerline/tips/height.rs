@@ -12,6 +12,9 @@ use super::geodesic::RISE;
 use super::stumps::EDGES;
 use super::{Pruning, ShortTip};
 
+/// Least height in sample distances: what fewer samples show is no shape yet.
+pub const SAMPLES: f64 = 3.0;
+
 impl Pruning<'_> {
     /// How far the function rises along an arc.
     pub fn span(&self, arc: u32) -> f64 {
@@ -51,13 +54,10 @@ impl Pruning<'_> {
     /// Whether a leaf is high enough over its base to be a branch; `height` is its rise of distance,
     /// `beside` the radius of the vessel that it stands on.
     pub fn stands_out(&self, arcs: &[u32], base: u32, leaf: u32, height: f64, tip_height: f64) -> bool {
-        /// Least height in sample distances: what fewer samples show is no shape yet.
-        const SAMPLES: f64 = 3.0;
         /// Largest hole in a wall, in radii of the vessel.
         const HOLE: f64 = 0.25;
         let Some((first, radius)) = self.base_of(arcs) else { return false };
         let sibling = self.sibling_radius(base, arcs);
-        let first = &self.graph.arcs[first as usize];
         let open = self.opening_at(leaf).filter(|opening| !opening.was_closed);
         // The vessel was cut here, however shortly; a small opening straight in the wall is a hole.
         if open.is_some_and(|opening| !sibling.is_finite() || opening.radius >= HOLE * sibling) {
@@ -65,7 +65,7 @@ impl Pruning<'_> {
         }
         let beside = self.behind_throat(base, arcs, (sibling, radius));
         let height = height - self.rise_of_cap(leaf);
-        let sample = (first.base_length / f64::from(first.base_edges.max(1))).max(self.edge_at(leaf));
+        let sample = self.sample(first, leaf);
         let least = (tip_height * radius.min(beside)).max(SAMPLES * sample);
         if let Some(met) = self.met_below(base, arcs, radius.min(beside)) {
             return height >= least && self.over_fronts(met, leaf) >= least;
@@ -117,6 +117,12 @@ impl Pruning<'_> {
         if second.is_finite() { second } else { 0.0 }
     }
 
+    /// Distance between samples at the base of the leaf whose lowest arc is `first`, and at its tip, whichever is longer.
+    fn sample(&self, first: u32, leaf: u32) -> f64 {
+        let first = &self.graph.arcs[first as usize];
+        (first.base_length / f64::from(first.base_edges.max(1))).max(self.edge_at(leaf))
+    }
+
     /// How far a tip lies outside the vessel that passes its base, from the vessel's wall, and the smaller of its base's
     /// `radius` and the vessel's. The vessel's is that of its level sets' areas, which noise does not lengthen; its way
     /// that between the nearest narrow ones on both sides, as it may bend.
@@ -156,7 +162,10 @@ impl Pruning<'_> {
             let rings = self.rings_beyond(base, self.widest_beside(leaf, base, upward)?, upward);
             let mut radii: Vec<f64> = rings.iter().map(LevelSet::area_radius).collect();
             radii.sort_unstable_by(f64::total_cmp);
-            radii.get(if stays { 0 } else { radii.len() / 2 }).copied()
+            let usual = *radii.get(radii.len() / 2)?;
+            // One much narrower than most lies on the cap where the vessel ends.
+            let narrowest = radii.into_iter().find(|radius| *radius >= THIN * usual);
+            narrowest.filter(|_| stays).or(Some(usual))
         };
         let sides = [side(false), side(true)];
         let [narrow, wide] = [f64::min, f64::max].map(|of| sides.into_iter().flatten().reduce(of));
@@ -176,9 +185,8 @@ impl Pruning<'_> {
         let ring = self.rings(first).next()?;
         // Of what few edges show nobody asks.
         let beside = if edges < EDGES { None } else { self.radius_beside(arcs, base, stays) };
-        let over = if edges < EDGES { None } else { self.over_vessel(arcs, base, leaf, radius) };
-        let over = over.map(|(over, _)| over);
-        Some(ShortTip { leaf, base: ring.centroid, radius, height, beside, over })
+        let (vertex, sample) = (self.graph.nodes[leaf as usize].vertex, self.sample(first, leaf));
+        Some(ShortTip { vertex, base: ring.centroid, radius, height, beside, sample })
     }
 
     /// The node, at or within `near` below `base`, where two fronts met, and the two arcs below it; `leaf` is not looked

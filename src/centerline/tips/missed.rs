@@ -5,7 +5,7 @@
 //! branch. But it stands over its vessel as no bump does: there the user is told to look.
 
 use super::reeb::ReebGraph;
-use super::{Branching, Choice, Pruning};
+use super::{Branching, Choice, Pruning, ShortTip};
 use crate::centerline::Warning;
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::line_tree::LineTree;
@@ -21,13 +21,12 @@ pub struct Missed {
 }
 
 impl Pruning<'_> {
-    /// A leaf that goes and rises by `height`, where it may be a branch.
+    /// A leaf that goes, and what is known of its `tip`, where it may be a branch.
     pub fn missed(
         &self,
         arcs: &[u32],
-        base: u32,
-        leaf: u32,
-        height: f64,
+        (base, leaf): (u32, u32),
+        tip: &ShortTip,
         choice: &Choice<'_>,
     ) -> Option<Missed> {
         /// Fewest edges that its base crosses: where it has fewer, noise is as high.
@@ -39,12 +38,10 @@ impl Pruning<'_> {
         const WIDTHS: std::ops::Range<f64> = 0.25..1.0;
         /// Least height over the vessel against that of an end.
         const HIGH: f64 = 1.3;
-        let (first, radius) = self.base_of(arcs)?;
-        if self.graph.arcs[first as usize].base_edges < EDGES || height < RISE * radius {
-            return None;
-        }
-        let beside = self.radius_beside(arcs, base, false)?;
-        if !WIDTHS.contains(&(radius / beside)) {
+        let &ShortTip { radius, height, beside: Some(beside), .. } = tip else { return None };
+        let (first, _) = self.base_of(arcs)?;
+        let is_seen = self.graph.arcs[first as usize].base_edges >= EDGES && height >= RISE * radius;
+        if !is_seen || !WIDTHS.contains(&(radius / beside)) {
             return None;
         }
         let (over, least) = match self.met_below(base, arcs, radius) {

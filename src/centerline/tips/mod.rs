@@ -15,7 +15,9 @@ pub mod picks;
 pub mod reeb;
 pub mod root;
 pub mod skeleton;
+mod straight_roots;
 mod stumps;
+mod tip_view;
 pub mod xie_beni;
 
 use std::cmp::Reverse;
@@ -123,8 +125,8 @@ impl Branching {
 /// A leaf that rises no more than a few radii.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ShortTip {
-    /// The leaf's Reeb node.
-    pub leaf: u32,
+    /// Vertex of the leaf's tip.
+    pub vertex: u32,
     /// Centre and radius of the level set at its base; this and the other lengths in the input's unit.
     pub base: Point3<f64>,
     pub radius: f64,
@@ -132,8 +134,8 @@ pub struct ShortTip {
     pub beside: Option<f64>,
     /// Its rise over its base, that of a flat cap's middle left out.
     pub height: f64,
-    /// How far it lies outside that vessel, from its wall; `None` as above.
-    pub over: Option<f64>,
+    /// Distance between samples at its base and at its tip, whichever is longer.
+    pub sample: f64,
 }
 
 /// Which Reeb arcs remain after the leaves that are no tips were removed.
@@ -232,10 +234,11 @@ impl Pruning<'_> {
             let kept = choice.kept.contains(&self.graph.nodes[leaf as usize].vertex);
             if !kept && !self.stands_out(&arcs, base, leaf, height, choice.tip_height) {
                 let height = height - self.rise_of_cap(leaf);
-                let doubtful = self.doubtful_tip(&arcs, base, leaf, height);
-                self.doubtful.extend(doubtful);
-                let missed = self.missed(&arcs, base, leaf, height, choice);
-                self.missed.extend(missed);
+                if let Some(tip) = self.doubtful_tip(&arcs, base, leaf, height) {
+                    let missed = self.missed(&arcs, (base, leaf), &tip, choice);
+                    self.missed.extend(missed);
+                    self.doubtful.push(tip);
+                }
                 arcs.iter().for_each(|&arc| self.alive[arc as usize] = false);
             }
         }
@@ -245,7 +248,7 @@ impl Pruning<'_> {
     /// A leaf that is no tip, where it is high enough to be looked at once more.
     fn doubtful_tip(&self, arcs: &[u32], base: u32, leaf: u32, height: f64) -> Option<ShortTip> {
         /// Least height, in radii of the base.
-        const DOUBT: f64 = 0.4;
+        const DOUBT: f64 = 0.2;
         let (_, radius) = self.base_of(arcs)?;
         if height > DOUBT * radius { self.short_tip(arcs, base, leaf, (height, false)) } else { None }
     }

@@ -171,7 +171,7 @@ pub fn root_near(surface: &Surface, graph: &ReebGraph, branching: &Branching, ve
     Root::nearest(surface, graph, branching, vertex).unwrap_or_else(|| {
         let mut cap = vec![false; surface.mesh.vertices.len()];
         cap[vertex as usize] = true;
-        Root { vertex, cap }
+        Root { vertex, cap, end: None }
     })
 }
 

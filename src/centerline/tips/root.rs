@@ -18,6 +18,8 @@ pub struct Root {
     pub vertex: u32,
     /// Marks the vertices of the cap around it.
     pub cap: Vec<bool>,
+    /// What it was taken for, where that is not known for sure.
+    pub end: Option<End>,
 }
 
 /// Which ends may be the root.
@@ -31,6 +33,7 @@ pub enum Among {
 }
 
 /// An end of a chain, seen from the tip inward.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct End {
     pub vertex: u32,
     pub radius: f64,
@@ -38,6 +41,8 @@ pub struct End {
     pub outward: Vector3<f64>,
     /// Shorter than it is wide: a sac, a stump, or an end that a front has passed aslant.
     pub short: bool,
+    /// Whether the level sets behind it widen, as they do into a joint: then they may tell too much.
+    pub near_joint: bool,
 }
 
 /// The ends that distances may be taken from, the best first: wide and long ones before short ones, of
@@ -50,12 +55,7 @@ pub fn roots(surface: &Surface, graph: &ReebGraph, branching: &Branching, among:
     /// Each costs a geodesic and a Reeb graph.
     const MOST: usize = 3;
     let mut ends = chain_ends(surface, graph, &branching.chains);
-    ends.extend(
-        branching
-            .doubtful
-            .iter()
-            .filter_map(|tip| short_end(surface, graph.nodes[tip.leaf as usize].vertex, tip)),
-    );
+    ends.extend(branching.doubtful.iter().filter_map(|tip| short_end(surface, tip)));
     if among == Among::LongEnds && ends.iter().any(|end| !end.short) {
         ends.retain(|end| !end.short);
     }
@@ -67,7 +67,14 @@ pub fn roots(surface: &Surface, graph: &ReebGraph, branching: &Branching, among:
     // Past a wide and long end only short ones that are wider still may have hidden something.
     let sure = ends.first().is_some_and(|end| !end.short && end.radius >= 0.95 * widest);
     let most = if sure { 1 } else { MOST };
-    candidates.take(most).map(|end| Root { vertex: end.vertex, cap: cap_around(surface, end) }).collect()
+    candidates
+        .take(most)
+        .map(|&end| Root {
+            vertex: end.vertex,
+            cap: cap_around(surface, &end),
+            end: end.near_joint.then_some(end),
+        })
+        .collect()
 }
 
 /// Vertex and radius of the ends of chains.
@@ -83,7 +90,7 @@ impl Root {
         };
         let ends = chain_ends(surface, graph, &branching.chains);
         let nearest = ends.iter().min_by(|a, b| away(a).total_cmp(&away(b)))?;
-        Some(Self { vertex: nearest.vertex, cap: cap_around(surface, nearest) })
+        Some(Self { vertex: nearest.vertex, cap: cap_around(surface, nearest), end: None })
     }
 }
 
@@ -100,10 +107,11 @@ fn chain_ends(surface: &Surface, graph: &ReebGraph, chains: &[Chain]) -> Vec<End
 }
 
 /// A short leaf, at its vertex, as an end.
-pub fn short_end(surface: &Surface, vertex: u32, tip: &ShortTip) -> Option<End> {
+pub fn short_end(surface: &Surface, tip: &ShortTip) -> Option<End> {
+    let vertex = tip.vertex;
     let outward = (surface.mesh.vertices[vertex as usize] - tip.base).try_normalize(0.0)?;
     let outward = along_vessel(surface, vertex, tip.radius, outward);
-    Some(End { vertex, radius: tip.radius, outward, short: true })
+    Some(End { vertex, radius: tip.radius, outward, short: true, near_joint: true })
 }
 
 /// `outward` turned along the vessel that the wall around the end is of: the direction that its normals leave free
@@ -116,15 +124,16 @@ fn along_vessel(surface: &Surface, vertex: u32, radius: f64, outward: Vector3<f6
     const FREE: f64 = 0.7;
     /// Cosine of the most that `outward` may be turned.
     const TURN: f64 = 0.35;
-    let tip = surface.mesh.vertices[vertex as usize];
-    let is_near = |t: &u32| {
-        surface.mesh.triangles[*t as usize]
-            .iter()
-            .any(|&v| (surface.mesh.vertices[v as usize] - tip).norm() < NEAR * radius)
-    };
-    let around = connected(surface, vertex, |t| is_near(&t)).into_iter();
+    let around = wall_around(surface, vertex, NEAR * radius).into_iter();
     let axis = free_direction(surface, around, FREE).map(|axis| toward(axis, &outward));
     axis.filter(|axis| axis.dot(&outward) > TURN).unwrap_or(outward)
+}
+
+/// The triangles that hang together with a vertex within a distance of it.
+pub fn wall_around(surface: &Surface, vertex: u32, near: f64) -> Vec<u32> {
+    let place = |v: u32| surface.mesh.vertices[v as usize];
+    let is_near = |&v: &u32| (place(v) - place(vertex)).norm() < near;
+    connected(surface, vertex, |t| surface.mesh.triangles[t as usize].iter().any(is_near))
 }
 
 /// The direction that the normals of triangles leave free (eq. 9); `None` where as much of them lies along it as the
@@ -134,16 +143,17 @@ pub fn free_direction(
     triangles: impl Iterator<Item = u32>,
     free: f64,
 ) -> Option<Vector3<f64>> {
-    let mut covariance = Matrix3::zeros();
-    for t in triangles {
-        let area = surface.mesh.area_vector(t);
-        covariance += area * area.transpose() / area.norm().max(f64::MIN_POSITIVE);
-    }
-    let eigen = covariance.symmetric_eigen();
+    let eigen = normals_covariance(surface, triangles).symmetric_eigen();
     let least = eigen.eigenvalues.imin();
     let others = (0..3).filter(|&i| i != least).map(|i| eigen.eigenvalues[i]);
     let is_free = eigen.eigenvalues[least] < free * others.fold(f64::INFINITY, f64::min);
     is_free.then(|| eigen.eigenvectors.column(least).into())
+}
+
+/// Of the normals of triangles, weighed by their areas (eq. 9).
+pub fn normals_covariance(surface: &Surface, triangles: impl Iterator<Item = u32>) -> Matrix3<f64> {
+    let areas = triangles.map(|t| surface.mesh.area_vector(t));
+    areas.map(|area| area * area.transpose() / area.norm().max(f64::MIN_POSITIVE)).sum()
 }
 
 /// The axis, turned around where it points away from a direction.
@@ -171,6 +181,9 @@ fn end_of(surface: &Surface, graph: &ReebGraph, chain: &Chain, at_start: bool) -
     // Where a cap has no more influence, and how far the direction is looked for, in radii.
     const NEAR: f64 = 1.5;
     const FAR: f64 = 3.0;
+    // A ring so near shows the vessel where one past it is wider by so much: a joint begins there.
+    const CLOSE: f64 = 0.9;
+    const WIDENED: std::ops::Range<f64> = 1.2..2.0;
     let node = if at_start { chain.from } else { chain.to };
     let vertex = graph.nodes[node as usize].vertex;
     let tip = surface.mesh.vertices[vertex as usize];
@@ -180,13 +193,21 @@ fn end_of(surface: &Surface, graph: &ReebGraph, chain: &Chain, at_start: bool) -
     let (short, ring) = (near.is_none(), near.or(rings.last())?);
     let base = rings.last().map_or(ring.centroid, |ring| ring.centroid);
     let inward = (ring.centroid - base).try_normalize(1e-6 * ring.radius());
+    let first = rings.iter().find(|ring| away(ring) > CLOSE);
+    let widening = |ring: &LevelSet| first.map_or(1.0, |first| ring.radius() / first.radius());
+    let near_joint = rings.iter().any(|ring| widening(ring) > WIDENED.start);
+    if let Some(first) = first.filter(|_| !short && WIDENED.contains(&widening(ring))) {
+        let outward = (tip - first.centroid).try_normalize(0.0)?;
+        let outward = along_vessel(surface, vertex, first.radius(), outward);
+        return Some(End { vertex, radius: first.radius(), outward, short, near_joint });
+    }
     let outward = inward.or_else(|| (tip - ring.centroid).try_normalize(0.0))?;
     // On a cap that a front came to aslant all rings but the last are small ones around its far side.
     let widest = || rings.iter().map(LevelSet::radius).fold(0.0, f64::max);
     let radius = if short { widest() } else { ring.radius() };
     // Rings of a long one are square to the vessel where they are looked at.
     let outward = if short { along_vessel(surface, vertex, radius, outward) } else { outward };
-    Some(End { vertex, radius, outward, short })
+    Some(End { vertex, radius, outward, short, near_joint })
 }
 
 /// Level sets from a chain's tip inward, up to and with the first that is `enough`.

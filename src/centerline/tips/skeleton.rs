@@ -10,8 +10,9 @@ use super::geodesic::{EdgeGraph, geodesic};
 use super::picks::{Kept, Picks, keep, root_near};
 use super::reeb::{ReebGraph, reeb_graph, reeb_graph_of};
 use super::root::{Among, Root, roots};
+use super::straight_roots::straightened;
 use super::stumps::{Stump, stumps};
-use super::{Branching, Choice, ROOT, chains, farthest};
+use super::{Branching, Choice, ROOT, ShortTip, chains, farthest};
 use crate::centerline::{CancelToken, Control, ExtractError, Stage};
 
 /// A tip that stands so many times as high as it must is an end from wherever it was seen.
@@ -50,10 +51,11 @@ pub fn skeleton(
     let first = chains(surface, &graph, &choice, cancel)?;
     control.report(Stage::Segmentation, 0.0)?;
     let first = View { graph, branching: first, edges, source };
+    let (seen_first, plain) = (first.branching.doubtful.clone(), first.edges.clone());
     let best = seen_from_an_end(surface, &first, picks, among, &choice, control)?;
     let view = best.unwrap_or(first);
     let (view, stumps) = match among {
-        Among::AllEnds => with_stumps(surface, view, &choice, cancel)?,
+        Among::AllEnds => with_stumps(surface, view, (&seen_first, &plain), &choice, cancel)?,
         Among::LongEnds => (view, Vec::new()),
     };
     let View { graph, branching, mut edges, source } = view;
@@ -80,11 +82,12 @@ pub fn skeleton(
 fn with_stumps(
     surface: &Surface,
     view: View,
+    (elsewhere, plain): (&[ShortTip], &EdgeGraph),
     choice: &Choice<'_>,
     cancel: &CancelToken,
 ) -> Result<(View, Vec<Stump>), ExtractError> {
     let seen = (&view.graph, &view.branching);
-    let stumps = stumps(surface, &view.edges, seen, choice.tip_height, cancel)?;
+    let stumps = stumps(surface, plain, seen, elsewhere, choice.tip_height, cancel)?;
     if stumps.is_empty() {
         return Ok((view, stumps));
     }
@@ -143,14 +146,15 @@ fn best_view(
     choice: &Choice<'_>,
     control: &Control<'_>,
 ) -> Result<Option<View>, ExtractError> {
-    let view = |root: &Root| {
+    let view = |root: Root| {
+        let root = straightened(surface, edges, root, &control.cancel)?;
         let mut edges = edges.clone();
         edges.shrink(&root.cap);
         let graph = reeb_graph(surface, &edges, &[root.vertex], &control.cancel)?;
         let branching = chains(surface, &graph, choice, &control.cancel)?;
         Ok(View { graph, branching, edges, source: root.vertex })
     };
-    let views = roots.par_iter().map(view).collect::<Result<Vec<_>, ExtractError>>()?;
+    let views = roots.into_par_iter().map(view).collect::<Result<Vec<_>, ExtractError>>()?;
     control.report(Stage::Segmentation, 0.4)?;
     let rank = |branching: &Branching| (branching.ends_at(ROOT), branching.ends());
     let mut best: Option<View> = None;
