@@ -56,7 +56,13 @@ impl PointGrid {
         let rows = |axis: usize| (high[axis].saturating_sub(low[axis]) as usize).saturating_add(1);
         if rows(0).saturating_mul(rows(1)) > self.cells.len() {
             // A ball of so many cubes' size: most of its rows are empty.
-            return self.order.iter().for_each(|&index| look_at(index));
+            for (number, (cell, start)) in self.cells.iter().enumerate() {
+                if (0..3).all(|axis| (low[axis]..=high[axis]).contains(&cell[axis])) {
+                    let end = self.cells.get(number + 1).map_or(self.order.len(), |(_, end)| *end as usize);
+                    self.order[*start as usize..end].iter().for_each(|&index| look_at(index));
+                }
+            }
+            return;
         }
         for x in low[0]..=high[0] {
             for y in low[1]..=high[1] {

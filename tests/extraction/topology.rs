@@ -103,6 +103,20 @@ fn capped_fork(legs: &[(Vector3<f64>, f64)], [step, shift]: [f64; 2]) -> Triangl
     implicit(low.into(), high.add_scalar(2.0 * shift).into(), step, field)
 }
 
+/// The same, cut open where it was capped.
+fn open_fork(legs: &[(Vector3<f64>, f64)], [step, shift]: [f64; 2]) -> TriangleMesh {
+    let mut mesh = capped_fork(legs, [step, shift]);
+    let is_past = |point: &Point3<f64>, tip: &Vector3<f64>| {
+        point.coords.dot(&tip.normalize()) > tip.norm() - 0.5 * step
+    };
+    let vertices = &mesh.vertices;
+    mesh.triangles.retain(|corners| {
+        let past = |tip| corners.iter().all(|&v| is_past(&vertices[v as usize], tip));
+        !legs.iter().any(|(tip, _)| past(tip))
+    });
+    mesh
+}
+
 /// Where legs are as short as they are wide a front climbs each while it passes it, and no end of the three is seen as it
 /// is, the root's neither.
 #[test]
@@ -119,9 +133,12 @@ fn a_fork_of_wide_short_legs_has_an_end_a_leg() {
     ] {
         let [behind, ahead] = trunk;
         let legs = [(lean(180.0, behind), 3.0), (lean(0.0, ahead), 3.0), (lean(degrees, length), radius)];
-        for shift in [0.0, 0.13, 0.29] {
-            let found = line_of(&capped_fork(&legs, [step, shift]));
-            let case = format!("{trunk:?} {degrees} {length} {radius} {shift}: {:?}", found.warnings);
+        for (shift, is_open) in [(0.0, false), (0.13, false), (0.29, false), (0.0, true), (0.21, true)] {
+            let mesh = if is_open { open_fork } else { capped_fork };
+            let found = line_of(&mesh(&legs, [step, shift]));
+            let case =
+                format!("{trunk:?} {degrees} {length} {radius} {shift} {is_open}: {:?}", found.warnings);
+            assert_eq!(found.surface.openings, if is_open { 3 } else { 0 }, "{case}");
             assert_eq!(ends_and_junctions(&found.centerline), (3, 1), "{case}");
             for (tip, radius) in &legs {
                 let away = found.centerline.nodes.iter().map(|node| (node.position.coords - tip).norm());
@@ -136,7 +153,7 @@ fn a_fork_of_wide_short_legs_has_an_end_a_leg() {
 #[test]
 fn a_short_leg_on_coarse_voxels_is_a_branch_or_told() {
     let (mut told, mut found) = (0, 0);
-    for (tip, radius) in [(2.96, 2.4), (2.7, 1.0), (2.98, 1.4), (3.19, 1.7)] {
+    for (tip, radius) in [(2.96, 2.4), (3.0, 1.0), (2.7, 1.0), (3.6, 1.0), (2.98, 1.4), (3.19, 1.7)] {
         for shift in [0.0, 0.11, 0.22, 0.33] {
             let leg = (0.0, Point3::new(0.0, 0.0, tip), radius);
             let line = line_of(&with_legs(&[leg], shift));

@@ -154,9 +154,9 @@ impl Pruning<'_> {
 
     /// Radius of the vessel that passes a leaf's base: of its wider side, and of the narrower where that goes on as a
     /// branch so thin that no front runs along both. Where the leaf `stays` it may be a sac, which the vessel's level sets
-    /// climb as they pass: there the narrowest counts.
+    /// climb as they pass: there the narrowest counts, but for a cap's.
     pub fn radius_beside(&self, leaf: &[u32], base: u32, stays: bool) -> Option<f64> {
-        /// Least radius of the narrower side against the wider.
+        /// Least radius of the narrower side against the wider, and of a level set that is no cap's against the usual.
         const THIN: f64 = 0.5;
         let side = |upward: bool| {
             let rings = self.rings_beyond(base, self.widest_beside(leaf, base, upward)?, upward);

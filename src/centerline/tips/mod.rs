@@ -51,8 +51,8 @@ pub struct Chain {
 #[derive(Debug, Clone, Default)]
 pub struct Branching {
     pub chains: Vec<Chain>,
-    /// Leaves that were removed although they rise a good part of their base's radius: a front that
-    /// passed them aslant may have hidden an end.
+    /// Leaves that were removed although they rise a part of their base's radius: a front that passed them aslant may
+    /// have hidden an end.
     pub doubtful: Vec<ShortTip>,
     /// Leaves that stay and rise only a few radii: of a wide branch a front that came aslant may have left no more than
     /// a corner.

@@ -168,11 +168,8 @@ fn summit(surface: &Surface, graph: &ReebGraph, mut vertex: u32) -> u32 {
 
 /// The end nearest to a vertex as the root; where there is no end at all, the vertex itself.
 pub fn root_near(surface: &Surface, graph: &ReebGraph, branching: &Branching, vertex: u32) -> Root {
-    Root::nearest(surface, graph, branching, vertex).unwrap_or_else(|| {
-        let mut cap = vec![false; surface.mesh.vertices.len()];
-        cap[vertex as usize] = true;
-        Root { vertex, cap, end: None }
-    })
+    Root::nearest(surface, graph, branching, vertex)
+        .unwrap_or_else(|| Root::of(surface, vertex, &[vertex].into_iter().collect()))
 }
 
 impl Pruning<'_> {

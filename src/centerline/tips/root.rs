@@ -41,7 +41,7 @@ pub struct End {
     pub outward: Vector3<f64>,
     /// Shorter than it is wide: a sac, a stump, or an end that a front has passed aslant.
     pub short: bool,
-    /// Whether the level sets behind it widen, as they do into a joint: then they may tell too much.
+    /// Whether it is short, or the level sets behind it widen as they do into a joint: then they may tell too much.
     pub near_joint: bool,
 }
 
@@ -52,10 +52,13 @@ pub fn roots(surface: &Surface, graph: &ReebGraph, branching: &Branching, among:
     const WIDE: f64 = 0.6;
     /// A long end is better than a short one up to so many times as wide: that may be a sac.
     const LONG: f64 = 2.0;
+    /// Least rise of a leaf that was removed, in radii of its base.
+    const HIGH: f64 = 0.4;
     /// Each costs a geodesic and a Reeb graph.
     const MOST: usize = 3;
     let mut ends = chain_ends(surface, graph, &branching.chains);
-    ends.extend(branching.doubtful.iter().filter_map(|tip| short_end(surface, tip)));
+    let high = branching.doubtful.iter().filter(|tip| tip.height > HIGH * tip.radius);
+    ends.extend(high.filter_map(|tip| short_end(surface, tip)));
     if among == Among::LongEnds && ends.iter().any(|end| !end.short) {
         ends.retain(|end| !end.short);
     }
@@ -67,14 +70,7 @@ pub fn roots(surface: &Surface, graph: &ReebGraph, branching: &Branching, among:
     // Past a wide and long end only short ones that are wider still may have hidden something.
     let sure = ends.first().is_some_and(|end| !end.short && end.radius >= 0.95 * widest);
     let most = if sure { 1 } else { MOST };
-    candidates
-        .take(most)
-        .map(|&end| Root {
-            vertex: end.vertex,
-            cap: cap_around(surface, &end),
-            end: end.near_joint.then_some(end),
-        })
-        .collect()
+    candidates.take(most).map(|end| Root::at(surface, end)).collect()
 }
 
 /// Vertex and radius of the ends of chains.
@@ -83,6 +79,18 @@ pub fn ends_of(surface: &Surface, graph: &ReebGraph, chains: &[Chain]) -> Vec<(u
 }
 
 impl Root {
+    /// A root that is known for sure, with the vertices of its cap.
+    pub fn of(surface: &Surface, vertex: u32, cap: &FxHashSet<u32>) -> Self {
+        let mut marks = vec![false; surface.mesh.vertices.len()];
+        cap.iter().for_each(|&v| marks[v as usize] = true);
+        Self { vertex, cap: marks, end: None }
+    }
+
+    /// The root at an end, which is to be looked at again where it may lie near a joint.
+    fn at(surface: &Surface, end: &End) -> Self {
+        Self { end: end.near_joint.then_some(*end), ..Self::of(surface, end.vertex, &cap_of(surface, end)) }
+    }
+
     /// The end nearest to a vertex; `None` where there is none.
     pub fn nearest(surface: &Surface, graph: &ReebGraph, branching: &Branching, vertex: u32) -> Option<Self> {
         let away = |end: &End| {
@@ -90,7 +98,7 @@ impl Root {
         };
         let ends = chain_ends(surface, graph, &branching.chains);
         let nearest = ends.iter().min_by(|a, b| away(a).total_cmp(&away(b)))?;
-        Some(Self { vertex: nearest.vertex, cap: cap_around(surface, nearest), end: None })
+        Some(Self::at(surface, nearest))
     }
 }
 
@@ -195,7 +203,7 @@ fn end_of(surface: &Surface, graph: &ReebGraph, chain: &Chain, at_start: bool) -
     let inward = (ring.centroid - base).try_normalize(1e-6 * ring.radius());
     let first = rings.iter().find(|ring| away(ring) > CLOSE);
     let widening = |ring: &LevelSet| first.map_or(1.0, |first| ring.radius() / first.radius());
-    let near_joint = rings.iter().any(|ring| widening(ring) > WIDENED.start);
+    let near_joint = short || rings.iter().any(|ring| widening(ring) > WIDENED.start);
     if let Some(first) = first.filter(|_| !short && WIDENED.contains(&widening(ring))) {
         let outward = (tip - first.centroid).try_normalize(0.0)?;
         let outward = along_vessel(surface, vertex, first.radius(), outward);
@@ -247,13 +255,6 @@ fn rings_inward(
         due -= high - low;
     }
     rings
-}
-
-/// Marks the vertices of [`cap_of`].
-fn cap_around(surface: &Surface, end: &End) -> Vec<bool> {
-    let mut cap = vec![false; surface.mesh.vertices.len()];
-    cap_of(surface, end).into_iter().for_each(|v| cap[v as usize] = true);
-    cap
 }
 
 /// The vertices of the end: what lies around its cap down to half a radius below the tip, and

@@ -12,7 +12,7 @@ use super::reeb::{ReebGraph, reeb_graph, reeb_graph_of};
 use super::root::{Among, Root, roots};
 use super::straight_roots::straightened;
 use super::stumps::{Stump, stumps};
-use super::{Branching, Choice, ROOT, ShortTip, chains, farthest};
+use super::{Branching, Choice, ROOT, chains, farthest};
 use crate::centerline::{CancelToken, Control, ExtractError, Stage};
 
 /// A tip that stands so many times as high as it must is an end from wherever it was seen.
@@ -51,11 +51,13 @@ pub fn skeleton(
     let first = chains(surface, &graph, &choice, cancel)?;
     control.report(Stage::Segmentation, 0.0)?;
     let first = View { graph, branching: first, edges, source };
-    let (seen_first, plain) = (first.branching.doubtful.clone(), first.edges.clone());
     let best = seen_from_an_end(surface, &first, picks, among, &choice, control)?;
-    let view = best.unwrap_or(first);
+    let (view, other) = match best {
+        Some(best) => (best, Some(first)),
+        None => (first, None),
+    };
     let (view, stumps) = match among {
-        Among::AllEnds => with_stumps(surface, view, (&seen_first, &plain), &choice, cancel)?,
+        Among::AllEnds => with_stumps(surface, view, other.as_ref(), &choice, cancel)?,
         Among::LongEnds => (view, Vec::new()),
     };
     let View { graph, branching, mut edges, source } = view;
@@ -78,20 +80,24 @@ pub fn skeleton(
 }
 
 /// The view with the short wide branches that it hides, and these. They were judged from their own tips, and stay where all
-/// of them are ends then and no other is lost.
+/// of them are ends then and no other is lost. The leaves that
+/// went from the `first` view, where it is another, are looked at too.
 fn with_stumps(
     surface: &Surface,
     view: View,
-    (elsewhere, plain): (&[ShortTip], &EdgeGraph),
+    first: Option<&View>,
     choice: &Choice<'_>,
     cancel: &CancelToken,
 ) -> Result<(View, Vec<Stump>), ExtractError> {
+    let elsewhere = first.map_or(&[][..], |first| &first.branching.doubtful);
+    // Not those of a view whose root's cap has no extent.
+    let edges = first.map_or(&view.edges, |first| &first.edges);
     let seen = (&view.graph, &view.branching);
-    let stumps = stumps(surface, plain, seen, elsewhere, choice.tip_height, cancel)?;
+    let stumps = stumps(surface, edges, seen, elsewhere, choice.tip_height, cancel)?;
     if stumps.is_empty() {
         return Ok((view, stumps));
     }
-    let function = countered(&view.edges, (view.source, &view.graph.function), &stumps, cancel)?;
+    let function = countered(edges, (view.source, &view.graph.function), &stumps, cancel)?;
     let graph = reeb_graph_of(surface, function, cancel)?;
     let kept: Vec<u32> = stumps.iter().map(|stump| stump.vertex).collect();
     let branching = chains(surface, &graph, &Choice { kept: &kept, ..*choice }, cancel)?;

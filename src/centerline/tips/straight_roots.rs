@@ -13,7 +13,7 @@ use super::tip_view::{TipView, best_tip_view};
 use crate::centerline::{CancelToken, ExtractError};
 
 /// The root with the cap that a front from it shows, where that is of a narrower tube than the root was taken for.
-/// O(wall within some radii, a dozen times).
+/// O(wall within some radii, up to 31 times).
 ///
 /// # Errors
 /// [`ExtractError::Cancelled`].
@@ -45,9 +45,9 @@ pub fn straightened(
     }
     let is_narrower = |view: &TipView| view.slenderness() >= LONG && WIDER * view.stump.radius < end.radius;
     let Some(TipView { stump, .. }) = best.filter(is_narrower) else { return Ok(root) };
-    let mut cap = vec![false; surface.mesh.vertices.len()];
-    stump.cap.iter().for_each(|&v| cap[v as usize] = true);
-    Ok(Root { vertex: stump.vertex, cap, end: None })
+    // An opening's centre is raised: it stays the end.
+    let centre = surface.openings.iter().map(|opening| opening.centre).find(|v| stump.cap.contains(v));
+    Ok(Root::of(surface, centre.unwrap_or(stump.vertex), &stump.cap))
 }
 
 /// An end as a tip of a vessel of such a radius.

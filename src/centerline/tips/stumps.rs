@@ -37,7 +37,7 @@ pub struct Stump {
 
 /// The short branches that are tubes seen from their tips and that the front from the root shows as less: those that
 /// it left out, and those of which it shows only a part. Tips that a front from
-/// `elsewhere` left are looked at too. O(wall within some radii of each leaf that is looked at, a dozen times).
+/// `elsewhere` left are looked at too. O(wall within some radii of each leaf that is looked at, up to 15 times).
 ///
 /// # Errors
 /// [`ExtractError::Cancelled`].
@@ -95,7 +95,7 @@ impl TipView {
     }
 
     /// Whether it is a tube and no pocket of a vessel's wall, as a bend has in front of a throat: those are wider than the
-    /// vessel and hardly longer than they are wide.
+    /// vessel and shorter than their radius.
     fn is_tube(&self, beside: f64) -> bool {
         /// Most that a tube of any length is wider than the vessel, and radii that a wider one is long.
         const WIDE: f64 = 1.1;

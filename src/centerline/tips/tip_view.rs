@@ -114,7 +114,8 @@ impl TipView {
         let tube = FrontLengths::of(surface, &near, beside).and_then(|lengths| lengths.tube(beside));
         let Some(Tube { base, mouth, radius }) = tube else { return Ok(None) };
         let stump = Stump { vertex: end.vertex, cap, base, radius, leaf };
-        Ok(WIDTHS.contains(&(mouth / beside)).then_some(Self { stump, near }))
+        let is_like_it = WIDTHS.contains(&(mouth / beside)) && radius >= WIDTHS.start * beside;
+        Ok(is_like_it.then_some(Self { stump, near }))
     }
 
     /// How many radii long its tube is.
