@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
+use reqwest::StatusCode;
 use serde_json::Value;
 
 use crate::service::{PATIENCE, Service};
@@ -116,8 +117,15 @@ async fn a_client_that_hangs_up_is_told_of_too() {
     // What its client leaves before it is begun may be lost: it has no answer.
     let begin = Instant::now();
     let mut asked: Option<Instant> = None;
-    while service.status(&format!("/v1/jobs/{last}")).await["status"] != "dismissed" {
-        // Not soon again: the second of two that come late would purge what the first cancelled.
+    loop {
+        let answer = service.get(&format!("/v1/jobs/{last}")).send().await.unwrap();
+        // Of two that come late the second purges what the first cancelled.
+        if answer.status() == StatusCode::NOT_FOUND
+            || answer.json::<Value>().await.unwrap()["status"] == "dismissed"
+        {
+            break;
+        }
+        // So not soon again.
         if asked.is_none_or(|asked| asked.elapsed() > Duration::from_secs(4)) {
             leave(&format!("DELETE /v1/jobs/{last}"), b"");
             asked = Some(Instant::now());

@@ -51,8 +51,7 @@ impl Pruning<'_> {
         behind.map(|ring| ring.area_radius()).fold(sibling, f64::max)
     }
 
-    /// Whether a leaf is high enough over its base to be a branch; `height` is its rise of distance,
-    /// `beside` the radius of the vessel that it stands on.
+    /// Whether a leaf is high enough over its base to be a branch; `height` is its rise of distance.
     pub fn stands_out(&self, arcs: &[u32], base: u32, leaf: u32, height: f64, tip_height: f64) -> bool {
         /// Largest hole in a wall, in radii of the vessel.
         const HOLE: f64 = 0.25;
