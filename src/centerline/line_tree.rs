@@ -150,9 +150,15 @@ impl LineTree {
         (first..last).any(|index| test(index, &self.segments[index]))
     }
 
-    /// The least distance of the line from a point, each place's in its own radii.
+    /// The least distance of the line from a point, each place's in its own radii; infinite where there is no line.
     pub fn least_share(&self, point: &Point3<f64>) -> f64 {
-        let mut least = f64::INFINITY;
+        self.nearest_in_radii(point).map_or(f64::INFINITY, |(share, _)| share)
+    }
+
+    /// The least distance of the line from a point, each place's in its own radii, and the line's radius at the place that
+    /// has it.
+    pub fn nearest_in_radii(&self, point: &Point3<f64>) -> Option<(f64, f64)> {
+        let (mut least, mut nearest) = (f64::INFINITY, None);
         let mut rest = vec![(self.levels.len() - 1, 0)];
         while let Some((level, place)) = rest.pop() {
             match self.levels[level].get(place) {
@@ -163,9 +169,13 @@ impl LineTree {
                 rest.extend([(level - 1, 2 * place), (level - 1, 2 * place + 1)]);
                 continue;
             }
-            let leaf = self.segments.iter().skip(LEAF * place).take(LEAF);
-            least = leaf.map(|segment| segment.share(point)).fold(least, f64::min);
+            for segment in self.segments.iter().skip(LEAF * place).take(LEAF) {
+                let share = segment.share(point);
+                if share < least {
+                    (least, nearest) = (share, Some(segment));
+                }
+            }
         }
-        least
+        nearest.map(|segment| (least, segment.nearest(point).1))
     }
 }

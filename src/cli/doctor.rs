@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use super::serve::{self, key_file, limits, settings, target_file};
 use super::{Failure, Places};
-use crate::http::Tls;
 use crate::http::access::{Discovery, Issuer, JwksSource, KeyError};
+use crate::http::{Limits, Tls};
 use crate::jobs::checkup::{self, Finding};
 use crate::jobs::isolation::program;
 use crate::jobs::{Clock, SystemClock};
@@ -43,7 +43,7 @@ pub fn run(args: serve::Args, places: Places<'_>) -> Result<(), Failure> {
     found.push(audit(&args));
     found.extend(bounds(&args, places));
     found.push(clock(now));
-    found.push(descriptors(args.max_uploads.get() as u64));
+    found.push(descriptors(&limits(&args)));
     found.push(process());
     tell(&found)
 }
@@ -331,19 +331,22 @@ fn clock(now_ms: i64) -> Finding {
     Finding::Well("the clock is of this time".to_owned())
 }
 
-fn descriptors(uploads: u64) -> Finding {
-    /// For the database, logs, workers and connections that only ask.
-    const OTHERS: u64 = 256;
-    // A connection and its file.
-    let wanted = uploads.saturating_mul(2).saturating_add(OTHERS);
-    match checkup::descriptors() {
-        Ok(most) if most < wanted => Finding::wrong(
-            format!("{most} files may be open at once and {uploads} uploads need {wanted}"),
-            "raise it (ulimit -n, LimitNOFILE) or lower --max-uploads",
-        ),
-        Ok(most) => Finding::Well(format!("{most} files may be open at once")),
-        Err(error) => Finding::Note(format!("how many files may be open is not known: {error}")),
+/// Whether there are files for all connections and uploads.
+fn descriptors(limits: &Limits) -> Finding {
+    let (wanted, most) = (limits.files(), checkup::descriptors());
+    if most < wanted {
+        let (connections, uploads) = (limits.connections, limits.uploads);
+        let what = format!(
+            "{most} files may be open at once, and {connections} connections and {uploads} uploads need {wanted}: there would be \
+             {} connections",
+            limits.within(most).connections
+        );
+        return Finding::wrong(
+            what,
+            "raise it (ulimit -Hn, LimitNOFILE) or lower --max-connections or --max-uploads",
+        );
     }
+    Finding::Well(format!("{most} files may be open at once"))
 }
 
 /// Runs are processes of their own.

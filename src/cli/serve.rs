@@ -112,7 +112,7 @@ async fn serve(args: Args, spans: Spans, log: &Log) -> Result<(), Failure> {
         Failure::of(&["listen"])(Failure::new(what))
     })?;
     let address = listener.local_addr()?;
-    let limits = limits(&args);
+    let limits = fitting(limits(&args));
     let gate = gate(&args).await?;
     check_open(address, &gate, &args)?;
     let pair = args.tls_cert.as_ref().zip(args.tls_key.as_ref());
@@ -139,6 +139,7 @@ pub(super) fn limits(args: &Args) -> Limits {
         upload_bytes: args.max_upload.0,
         upload_idle: args.upload_idle.0,
         head: args.head_timeout.0,
+        connections: args.max_connections.get(),
         validations: args.validations.get(),
         uploads: args.max_uploads.get(),
         uploads_each: args.max_uploads_each.get(),
@@ -149,6 +150,24 @@ pub(super) fn limits(args: &Args) -> Limits {
         mesh: mesh::format::Limits::of_triangles(args.max_triangles.get()),
         ..Limits::default()
     }
+}
+
+/// With as many connections as this process may have.
+fn fitting(wanted: Limits) -> Limits {
+    if let Err(error) = checkup::raise_descriptors() {
+        tracing::warn!(%error, "the limit of open files cannot be raised");
+    }
+    let files = checkup::descriptors();
+    let limits = wanted.within(files);
+    if limits.connections < wanted.connections {
+        tracing::warn!(
+            files,
+            connections = limits.connections,
+            "fewer connections than --max-connections, as so few files may be open: raise it (ulimit -Hn, LimitNOFILE) \
+             or lower --max-connections or --max-uploads"
+        );
+    }
+    limits
 }
 
 fn trail(args: &Args) -> Result<Trail, Failure> {

@@ -5,8 +5,8 @@ use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::Router;
 use axum::serve::Listener;
+use axum::{Extension, Router};
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto::Builder;
 use hyper_util::service::TowerToHyperService;
@@ -20,40 +20,47 @@ use tower_http::add_extension::AddExtension;
 
 use super::Tls;
 use super::audit::Peer;
+use super::crowd::{Crowd, HEARING, Standing};
 
 /// Bytes of a request that should have been encrypted which are read and thrown away.
 const MOST_PLAIN: usize = 1 << 20;
 
+/// What connections are served with.
+pub(super) struct House {
+    pub router: Router,
+    pub tls: Option<Arc<Tls>>,
+    /// How long a request's head may take. It also ends connections that are kept open for a next request that does not
+    /// come, TLS handshakes that are not whole, and answers of which nothing is read.
+    pub head: Duration,
+    pub crowd: Crowd,
+}
+
 /// Serves every connection until `closing`, then those that are open until they have answered.
 ///
-/// `axum::serve` does the same without a limit to the time that a request's head may take (`head`); that time
-/// also ends connections that are kept open for a next request that does not come, TLS handshakes that are not
-/// whole, and answers of which nothing is read. Dropping the future cuts what is open.
-pub(super) async fn serve(
-    mut listener: TcpListener,
-    tls: Option<Arc<Tls>>,
-    router: Router,
-    head: Duration,
-    closing: CancellationToken,
-) {
+/// `axum::serve` does the same without a limit to the time of a request's head and to the number of connections. Dropping
+/// the future cuts what is open.
+pub(super) async fn serve(mut listener: TcpListener, house: House, closing: CancellationToken) {
+    let House { router, tls, head, crowd } = house;
     let mut http = Builder::new(TokioExecutor::new()).http1_only();
     http.http1().timer(TokioTimer::new()).header_read_timeout(head);
+    let mut once = http.clone();
+    once.http1().keep_alive(false);
+    let standing = router.clone().layer(Extension(Standing));
     let mut open = JoinSet::new();
     loop {
         tokio::select! {
-            (socket, address) = Listener::accept(&mut listener) => {
-                let (http, router, closing) = (http.clone(), router.clone(), closing.clone());
-                let (tls, peer) = (tls.clone(), Peer(address.ip()));
+            (socket, address) = Listener::accept(&mut listener), if crowd.has_room() => {
+                // There is room: only this loop takes places.
+                let Some(place) = crowd.take() else { continue };
+                let (http, router) = if place.is_seat() { (&http, &router) } else { (&once, &standing) };
+                let (http, router, peer) = (http.clone(), router.clone(), Peer(address.ip()));
+                let (tls, closing) = (tls.clone(), closing.clone());
                 open.spawn(async move {
-                    // Small answers should not wait for more; a socket that cannot be set works all the same.
-                    let _ = socket.set_nodelay(true);
-                    match tls {
-                        None => converse(http, unless_stuck(socket, head), peer, router, closing).await,
-                        Some(tls) => {
-                            if let Some(stream) = greet(&tls, socket, head).await {
-                                converse(http, unless_stuck(stream, head), peer, router, closing).await;
-                            }
-                        }
+                    let conversation = begin(http, tls, socket, head, peer, router, closing);
+                    if place.is_seat() {
+                        conversation.await;
+                    } else if tokio::time::timeout(HEARING, conversation).await.is_err() {
+                        tracing::debug!("a connection past the limit stayed too long");
                     }
                 });
             }
@@ -64,6 +71,28 @@ pub(super) async fn serve(
     // New clients should be refused, not left waiting.
     drop(listener);
     while open.join_next().await.is_some() {}
+}
+
+/// Greets a client where TLS is spoken, and answers its requests.
+async fn begin(
+    http: Builder<TokioExecutor>,
+    tls: Option<Arc<Tls>>,
+    socket: TcpStream,
+    head: Duration,
+    peer: Peer,
+    router: Router,
+    closing: CancellationToken,
+) {
+    // Small answers should not wait for more; a socket that cannot be set works all the same.
+    let _ = socket.set_nodelay(true);
+    match tls {
+        None => converse(http, unless_stuck(socket, head), peer, router, closing).await,
+        Some(tls) => {
+            if let Some(stream) = greet(&tls, socket, head).await {
+                converse(http, unless_stuck(stream, head), peer, router, closing).await;
+            }
+        }
+    }
 }
 
 /// What a client is told that speaks HTTP where TLS is spoken.

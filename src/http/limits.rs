@@ -19,6 +19,9 @@ const SMALL_DECODED: usize = 16 << 20;
 /// meshes (docs/reliability.md, "What the check of an upload takes").
 const CHECK_BYTES: u64 = 250;
 
+/// Files for the database, logs, runs, webhooks and connections past the limit.
+const OTHER_FILES: u64 = 256;
+
 /// What one request may use, and for how long.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
@@ -30,6 +33,8 @@ pub struct Limits {
     pub upload_idle: Duration,
     /// A connection whose next request's head is not whole after this long is closed.
     pub head: Duration,
+    /// Connections that may be open at the same time.
+    pub connections: usize,
     /// Meshes that are checked at the same time, and as many small ones beside them; further uploads wait their turn on disk.
     /// Each takes one copy of its file in memory and the mesh that is read from it. A small file that turns out to hold a
     /// large mesh keeps its copy while it waits for the turn of such a one, as one of `uploads`: so these two bound the
@@ -73,6 +78,18 @@ impl Limits {
         }
     }
 
+    /// Files that the service may have open at once: a connection each, one for each upload, and [others](OTHER_FILES).
+    pub fn files(&self) -> u64 {
+        (self.connections as u64).saturating_add(self.uploads as u64).saturating_add(OTHER_FILES)
+    }
+
+    /// With as many connections as there are `files` for: at least a quarter of them, as uploads are rarely as many as they
+    /// may be.
+    pub fn within(self, files: u64) -> Self {
+        let room = files.saturating_sub(Self { connections: 0, ..self }.files()).max(files / 4).max(1);
+        Self { connections: self.connections.min(usize::try_from(room).unwrap_or(usize::MAX)), ..self }
+    }
+
     /// Bytes of memory that the checks of all uploads may take at once: large ones, small ones, and the small files that
     /// wait for the turn of a large one.
     pub fn checks(&self) -> u64 {
@@ -92,6 +109,7 @@ impl Default for Limits {
             parameters_bytes: 64 << 10,
             upload_idle: Duration::from_secs(30),
             head: Duration::from_secs(30),
+            connections: 2048,
             validations: 2,
             uploads: 256,
             uploads_each: 64,
@@ -112,6 +130,18 @@ impl Default for Limits {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn connections_are_as_many_as_there_are_files_for() {
+        let limits = Limits { connections: 4096, uploads: 256, ..Limits::default() };
+        assert_eq!(limits.files(), 4096 + 256 + 256);
+        let of = |files| limits.within(files).connections;
+        assert_eq!(
+            [of(u64::MAX), of(4608), of(4607), of(1024), of(64), of(0)],
+            [4096, 4096, 4095, 512, 16, 1]
+        );
+        assert_eq!(Limits { connections: usize::MAX, ..limits }.within(1024).connections, 512);
+    }
 
     #[test]
     fn the_checks_are_large_ones_small_ones_and_small_files_that_wait() {

@@ -11,6 +11,7 @@ mod coding;
 mod connections;
 mod cors;
 mod counters;
+mod crowd;
 mod digest;
 pub mod document;
 mod etag;

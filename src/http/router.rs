@@ -13,7 +13,7 @@ use super::operations::{
     delete, events, health, limits, list, metrics, openapi, result, retry, status, submit, webhooks,
 };
 use super::problem::{INTERNAL_ERROR, METHOD_NOT_ALLOWED, NOT_FOUND, Problem};
-use super::{App, access, cors, document, host, lingering, trace};
+use super::{App, access, cors, crowd, document, host, lingering, trace};
 use crate::jobs::Spans;
 
 /// Every route; each brings its own part of the document.
@@ -41,8 +41,9 @@ pub fn router(app: App) -> Router {
     let (router, _) = routes().split_for_parts();
     let router = router.fallback(not_found).method_not_allowed_fallback(method_not_allowed);
     let admitted = middleware::from_fn_with_state(app.clone(), access::admit);
+    let turned_away = middleware::from_fn_with_state(app.clone(), crowd::turn_away);
     let watched = (app.counters().clone(), app.jobs().spans().clone());
-    wrapped(router.with_state(app).layer(admitted), watched)
+    wrapped(router.with_state(app).layer(admitted).layer(turned_away), watched)
 }
 
 /// What stands around every route.

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use tokio::net::TcpListener;
 
+use super::connections::House;
 use super::{App, audit, connections, router};
 
 /// How long open connections may take to end after the signal to stop, within the grace time.
@@ -28,7 +29,8 @@ pub async fn serve(
     if let Some(gate) = app.gate() {
         gate.follow(closing.clone());
     }
-    let connections = connections::serve(listener, tls, router, app.limits().head, closing.clone());
+    let house = House { router, tls, head: app.limits().head, crowd: app.connections().clone() };
+    let connections = connections::serve(listener, house, closing.clone());
     let requests = app.requests().clone();
     // Those whose clients have gone have no connection any more.
     let mut server = tokio::spawn(async move {

@@ -11,6 +11,7 @@ use super::access::Gate;
 use super::admission::Shares;
 use super::audit::Trail;
 use super::counters::{Counters, LostLines};
+use super::crowd::Crowd;
 use super::idempotency::InFlight;
 use super::limits::Limits;
 use super::operations::health::Faults;
@@ -28,6 +29,7 @@ struct Inner {
     limits: Limits,
     validator: Validator,
     in_flight: InFlight,
+    connections: Crowd,
     uploads: Arc<Semaphore>,
     shares: Shares,
     gate: Option<Gate>,
@@ -61,7 +63,8 @@ impl App {
             limits,
             validator,
             in_flight: InFlight::default(),
-            uploads: Arc::new(Semaphore::new(limits.uploads)),
+            connections: Crowd::new(limits.connections),
+            uploads: Arc::new(Semaphore::new(limits.uploads.min(Semaphore::MAX_PERMITS))),
             shares: Shares::default(),
             gate,
             trail: trail.map(Arc::new),
@@ -122,6 +125,11 @@ impl App {
     /// What readiness has told the log of.
     pub(super) fn faults(&self) -> &Faults {
         &self.0.faults
+    }
+
+    /// A place for each connection that may be open at the same time.
+    pub(super) fn connections(&self) -> &Crowd {
+        &self.0.connections
     }
 
     /// A place for each upload that may come in at the same time.

@@ -6,6 +6,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use futures::TryStreamExt;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use sqlx::{AnyConnection, AssertSqlSafe, Connection};
 
 use super::StoredArtifact;
@@ -278,8 +279,16 @@ pub fn free(path: &Path) -> io::Result<u64> {
     Ok(found.f_bavail * found.f_frsize)
 }
 
-/// How many files a process may have open.
-pub fn descriptors() -> io::Result<u64> {
-    let limit = rustix::process::getrlimit(rustix::process::Resource::Nofile);
-    Ok(limit.current.unwrap_or(u64::MAX))
+/// How many files this process may have open, once it has [asked for them](raise_descriptors).
+pub fn descriptors() -> u64 {
+    getrlimit(Resource::Nofile).maximum.unwrap_or(u64::MAX)
+}
+
+/// Lets this process have as many files open as it may ask for: systemd and shells begin with 1024, whatever that is.
+///
+/// # Errors
+/// When the system refuses it.
+pub fn raise_descriptors() -> io::Result<()> {
+    let maximum = getrlimit(Resource::Nofile).maximum;
+    Ok(setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum })?)
 }

@@ -27,11 +27,16 @@ pub struct Service {
 /// `rosaline serve` on a free port, without settings from this process's environment.
 pub fn command(data: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_rosaline"));
-    without_settings(&mut command);
-    // As variables, so that a test's flags override them.
-    command.arg("serve").env("ROSALINE_LISTEN", "127.0.0.1:0").env("ROSALINE_DATA", data);
-    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    set_up(command.arg("serve"), data);
     command
+}
+
+/// A command that becomes `rosaline serve`, for a free port.
+pub fn set_up<'a>(command: &'a mut Command, data: &Path) -> &'a mut Command {
+    without_settings(command);
+    // As variables, so that a test's flags override them.
+    command.env("ROSALINE_LISTEN", "127.0.0.1:0").env("ROSALINE_DATA", data);
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped())
 }
 
 /// Takes away what this process's environment would set.

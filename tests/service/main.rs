@@ -24,6 +24,7 @@ mod admission;
 mod bombs;
 mod busy;
 mod changes;
+mod crowd;
 mod damage;
 mod deletion;
 mod discovery;

@@ -4,6 +4,7 @@
 //! centroid, over the radius of the circle of the section's area.
 
 use super::Centeredness;
+use crate::centerline::graph::Warning;
 use crate::centerline::own_sections::OwnSection;
 
 /// Sums over the points that count.
@@ -28,6 +29,17 @@ impl Offsets {
             max: any.then_some(self.max),
             sections: self.sections,
         }
+    }
+
+    /// That of component `index` where no point counts.
+    pub fn warning(&self, index: usize) -> Option<Warning> {
+        (self.sections == 0).then(|| Warning {
+            code: "no-section",
+            detail: format!(
+                "no section shows a vessel of component {index} alone, as where it is short or rough: nothing tells how well its \
+                 line is centred, and its radii were not held against the wall"
+            ),
+        })
     }
 }
 

@@ -9,6 +9,7 @@ use crate::centerline::component::ComponentGraph;
 use crate::centerline::graph::{Branch, NodeKind, Warning};
 use crate::centerline::line_tree::{LineTree, Segment};
 use crate::centerline::median::median;
+use crate::centerline::quality::piece::{self, is_far, large_piece};
 
 /// Farthest that covered wall lies, in radii of the line there.
 const NEAR: f64 = 1.5;
@@ -23,10 +24,12 @@ const CHUNK: usize = 1000;
 
 /// The radii that far is counted in.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Radii {
+pub enum Radii {
     Inscribed,
     /// Long half axes of the ellipses that have the line's two radii: a flat vessel misses no branch.
     Wide,
+    /// The same of the branch's usual one.
+    Usual,
     /// So many inscribed radii, or a fifth more than the branch's usual long half axis, whichever is more: one place
     /// that is wide may have taken in a branch.
     Either,
@@ -39,6 +42,7 @@ impl Radii {
         match self {
             Self::Inscribed => radii,
             Self::Wide => radii * flatness.here,
+            Self::Usual => radii * flatness.usual,
             Self::Either => radii.max(BESIDE * flatness.usual),
         }
     }
@@ -61,6 +65,8 @@ pub struct Covered {
     far: [f64; FAR.len()],
     /// Middles of some triangles that are far.
     missed: Vec<Point3<f64>>,
+    /// Where a [`large_piece`] is.
+    piece: Option<Point3<f64>>,
 }
 
 /// The area near the line, and far from it: of each triangle that is looked at, by its middle.
@@ -80,11 +86,22 @@ pub fn measure(surface: &Surface, line: &LineTree, graph: &ComponentGraph) -> Co
     let line = &Reach { line, flatness, widest, cuts: cuts(surface, graph) };
     let step = surface.mesh.triangles.len().div_ceil(SAMPLES).max(1);
     let chunks = surface.mesh.triangles.par_chunks(CHUNK * step);
-    let parts: Vec<Covered> =
-        chunks.map(|chunk| of_triangles(surface, line, chunk.iter().step_by(step))).collect();
+    let first = |number: usize| (number * CHUNK * step) as u32;
+    let of_chunk = |(number, chunk): (usize, &[[u32; 3]])| {
+        let triangles = (first(number)..).step_by(step).take(chunk.len().div_ceil(step));
+        of_triangles(surface, line, triangles)
+    };
+    let parts: Vec<(Covered, Vec<(f64, u32)>)> = chunks.enumerate().map(of_chunk).collect();
     let mut sum = Covered::default();
-    parts.iter().for_each(|part| sum.add(part));
-    sum
+    parts.iter().for_each(|(part, _)| sum.add(part));
+    let seeds = parts.into_iter().flat_map(|(_, seeds)| seeds).collect();
+    Covered { piece: large_piece(surface, line, seeds), ..sum }
+}
+
+/// The middle of a triangle, and its area.
+pub fn middle_and_area(surface: &Surface, triangle: u32) -> (Point3<f64>, f64) {
+    let [a, b, c] = surface.mesh.triangles[triangle as usize].map(|v| surface.mesh.vertices[v as usize]);
+    (Point3::from((a.coords + b.coords + c.coords) / 3.0), 0.5 * (b - a).cross(&(c - a)).norm())
 }
 
 /// A cut that the line ends in: where it is aslant, the wall of the vessel goes on past that end.
@@ -149,8 +166,8 @@ fn flatness(branch: &Branch, at: usize) -> f64 {
 }
 
 /// How far the wall of a line's own vessel may lie.
-struct Reach<'a> {
-    line: &'a LineTree,
+pub struct Reach<'a> {
+    pub line: &'a LineTree,
     /// Of each segment.
     flatness: Vec<Flatness>,
     widest: Flatness,
@@ -158,8 +175,13 @@ struct Reach<'a> {
 }
 
 impl Reach<'_> {
+    /// Whether a place is wall of a vessel past the cut that its line ends in.
+    pub fn is_beyond_cut(&self, place: &Point3<f64>) -> bool {
+        self.cuts.iter().any(|cut| cut.is_beyond(place))
+    }
+
     /// Whether a place lies within so many radii of any segment; that of `last` is tried first.
-    fn covers(&self, place: &Point3<f64>, radii: f64, kind: Radii, last: &mut Option<usize>) -> bool {
+    pub fn covers(&self, place: &Point3<f64>, radii: f64, kind: Radii, last: &mut Option<usize>) -> bool {
         let limit = |index: usize| kind.limit(radii, self.flatness[index]);
         let again = last.is_some_and(|index| self.line.segments()[index].share(place) <= limit(index));
         again
@@ -173,26 +195,28 @@ impl Reach<'_> {
     }
 }
 
-fn of_triangles<'a>(
+/// What is covered of some triangles, and those that may be of a [`large_piece`], with how far they lie.
+fn of_triangles(
     surface: &Surface,
     line: &Reach<'_>,
-    triangles: impl Iterator<Item = &'a [u32; 3]>,
-) -> Covered {
+    triangles: impl Iterator<Item = u32>,
+) -> (Covered, Vec<(f64, u32)>) {
     /// As many missed places a task are enough to find the worst nearby.
     const NOTED: usize = 64;
-    let mut sum = Covered::default();
+    let (mut sum, mut seeds) = (Covered::default(), Vec::new());
     let mut last = None;
-    for corners in triangles {
-        let [a, b, c] = corners.map(|v| surface.mesh.vertices[v as usize]);
-        let area = 0.5 * (b - a).cross(&(c - a)).norm();
-        let middle = Point3::from((a.coords + b.coords + c.coords) / 3.0);
+    for triangle in triangles {
+        let (middle, area) = middle_and_area(surface, triangle);
         sum.area += area;
         if line.covers(&middle, NEAR, Radii::Inscribed, &mut last) {
             sum.near += area;
             continue;
         }
-        if line.cuts.iter().any(|cut| cut.is_beyond(&middle)) {
+        if line.is_beyond_cut(&middle) {
             continue;
+        }
+        if is_far(line, &middle, &mut last) {
+            seeds.push((line.line.least_share(&middle), triangle));
         }
         let far = FAR.map(|(radii, kind, _)| !line.covers(&middle, radii, kind, &mut last));
         far.into_iter().zip(&mut sum.far).filter(|(far, _)| *far).for_each(|(_, sum)| *sum += area);
@@ -200,7 +224,7 @@ fn of_triangles<'a>(
             sum.missed.push(middle);
         }
     }
-    sum
+    (sum, seeds)
 }
 
 impl Covered {
@@ -209,6 +233,7 @@ impl Covered {
         self.near += other.near;
         self.far.iter_mut().zip(other.far).for_each(|(sum, far)| *sum += far);
         self.missed.extend(&other.missed);
+        self.piece = self.piece.or(other.piece);
     }
 
     /// Share of the area near the line; 1 of a surface without area.
@@ -218,21 +243,36 @@ impl Covered {
 
     /// That of component `index` where wall lies farther from its line than its radii allow.
     pub fn warning(&self, index: usize, line: &LineTree) -> Option<Warning> {
+        let (what, place) = self.share_missed(index, line).or_else(|| self.piece_missed(index))?;
+        Some(Warning {
+            code: "wall-without-line",
+            detail: format!(
+                "{what} near [{:.4}, {:.4}, {:.4}]: a branch may be missing there",
+                place.x, place.y, place.z
+            ),
+        })
+    }
+
+    /// Where more of the wall than [`FAR`] allows lies far, and what to say of it.
+    fn share_missed(&self, index: usize, line: &LineTree) -> Option<(String, Point3<f64>)> {
         let told = |(far, (.., least)): (&f64, (f64, Radii, f64))| *far > least * self.area;
         let number = self.far.iter().zip(FAR).rposition(told)?;
         let away = |place: &&Point3<f64>| line.least_share(place);
         let place = self.missed.iter().max_by(|a, b| away(a).total_cmp(&away(b)))?;
-        Some(Warning {
-            code: "wall-without-line",
-            detail: format!(
-                "{:.2} % of the wall of component {index} lies farther than {} radii from the line, most of all \
-                 near [{:.4}, {:.4}, {:.4}]: a branch may be missing there",
-                100.0 * self.far[number] / self.area,
-                FAR[number].0,
-                place.x,
-                place.y,
-                place.z
-            ),
-        })
+        let (share, radii) = (100.0 * self.far[number] / self.area, FAR[number].0);
+        let what = format!(
+            "{share:.2} % of the wall of component {index} lies farther than {radii} radii from the line, most of all"
+        );
+        Some((what, *place))
+    }
+
+    /// The same where little of the wall does, but in one piece.
+    fn piece_missed(&self, index: usize) -> Option<(String, Point3<f64>)> {
+        let what = format!(
+            "a piece of the wall of component {index}, as large as a quarter of the vessel's section and more, lies farther \
+             than {} radii from the line",
+            piece::FAR
+        );
+        Some((what, self.piece?))
     }
 }

@@ -7,6 +7,7 @@ mod centeredness;
 mod coverage;
 mod homotopy;
 mod inside;
+mod piece;
 mod room;
 mod thinness;
 
@@ -80,9 +81,10 @@ impl Measured {
             tight(Against::Wall).or_else(|| tight(Against::Facets)).map(|tight| tight.warning(index, graph));
         let thick = thinness::first_thick(tree, graph);
         let twice = thick.map(|thick| thick.warning(index));
-        let warnings =
-            [homotopy.warning(index), inside.warning(index), covered.warning(index, tree), tight, twice];
         let offsets = centeredness::measure(sections);
+        let (unequal, outside) = (homotopy.warning(index), inside.warning(index));
+        let warnings =
+            [unequal, outside, covered.warning(index, tree), tight, twice, offsets.warning(index)];
         let measured = Self { components: 1, homotopy, inside, offsets, covered, thick: thick.is_some() };
         (measured, warnings.into_iter().flatten().collect())
     }
@@ -194,7 +196,7 @@ mod tests {
         assert_eq!(warnings, ["outside"]);
         let (quality, warnings) = measured(&tube(), &straight(0.0, 20.0, 1.2));
         assert_eq!((quality.inside, quality.centeredness.sections), (0.0, 0));
-        assert_eq!((quality.centeredness.mean, warnings), (None, vec!["outside", "wall-without-line"]));
+        assert_eq!((quality.centeredness.mean, warnings), (None, vec!["outside", "wall-without-line", "no-section"]));
     }
 
     #[test]
@@ -239,6 +241,16 @@ mod tests {
         // An ellipse of half axes 0.5 and 1 has this radius.
         flat.branches[0].equivalent_radii.fill(0.5_f64.sqrt());
         assert!(warnings(&flat).is_empty());
+    }
+
+    #[test]
+    fn what_is_little_of_a_large_wall_is_told_where_it_is_one_piece() {
+        let long = closed_surface(&open_tube(400.0, 801, 32));
+        let warnings = |to: f64| measured(&long, &straight(0.0, to, 0.0)).1;
+        // Over 1.7 radii away lie the cap, but for its middle, and a strip of wall: no hundredth of a per cent of it all.
+        assert_eq!(warnings(398.2), ["wall-without-line"]);
+        // Only the rim of the cap.
+        assert!(warnings(398.6).is_empty());
     }
 
     #[test]

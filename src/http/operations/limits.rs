@@ -35,6 +35,8 @@ pub struct LimitsDocument {
     upload_idle_seconds: u64,
     /// Seconds that a request's head may take.
     head_seconds: u64,
+    /// Connections that may be open at the same time; requests on more get a 503.
+    connections: usize,
     /// Meshes that are checked at the same time.
     validations: usize,
     /// Uploads that may come in at the same time; more get a 503.
@@ -73,6 +75,7 @@ impl From<&Limits> for LimitsDocument {
             expansion_free_bytes: format::Limits::EXPANSION_FREE,
             upload_idle_seconds: limits.upload_idle.as_secs(),
             head_seconds: limits.head.as_secs(),
+            connections: limits.connections,
             validations: limits.validations,
             uploads: limits.uploads,
             uploads_each: limits.uploads_each,

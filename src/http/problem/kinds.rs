@@ -65,6 +65,7 @@ kinds! {
         "The caller has as many uploads under way as it may";
     // The service.
     QUEUE_FULL = SERVICE_UNAVAILABLE, "queue-full", "As many jobs wait as may";
+    TOO_MANY_CONNECTIONS = SERVICE_UNAVAILABLE, "too-many-connections", "As many connections are open as may";
     TOO_MANY_UPLOADS = SERVICE_UNAVAILABLE, "too-many-uploads", "As many uploads come in as may";
     INTERNAL_ERROR = INTERNAL_SERVER_ERROR, "internal-error", "The service failed";
     KEYS_UNAVAILABLE = SERVICE_UNAVAILABLE, "keys-unavailable", "The service cannot read its keys";

@@ -1,0 +1,102 @@
+//! More connections than there may be.
+
+use std::net::TcpStream;
+use std::process::Command;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use reqwest::{Client, Response};
+use serde_json::Value;
+
+use crate::meshes;
+use crate::service::{PATIENCE, Service, problem};
+
+/// Connections on which nothing is asked.
+fn idle(service: &Service, count: usize) -> Vec<TcpStream> {
+    (0..count).map(|_| TcpStream::connect(service.address()).unwrap()).collect()
+}
+
+/// One request on a connection of its own.
+async fn ask(service: &Service, path: &str) -> reqwest::Result<Response> {
+    let client = Client::builder().tls_certs_only([]).build().unwrap();
+    client.get(format!("{}{path}", service.url)).send().await
+}
+
+async fn connections(service: &Service) -> Value {
+    let limits: Value = service.get("/v1/limits").send().await.unwrap().json().await.unwrap();
+    limits["connections"].clone()
+}
+
+/// How many are open, as the service tells on a connection that it has already.
+async fn open(service: &Service) -> usize {
+    let text = service.get("/metrics").send().await.unwrap().text().await.unwrap();
+    let line = text.lines().find_map(|line| line.strip_prefix("rosaline_connections "));
+    line.unwrap().parse().unwrap()
+}
+
+async fn until_open(service: &Service, count: usize) {
+    let begin = Instant::now();
+    while open(service).await != count {
+        assert!(begin.elapsed() < PATIENCE, "{}", service.log());
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+#[tokio::test]
+async fn a_connection_too_many_is_told_so_and_probes_have_their_answer() {
+    let service = Service::start(&["--max-connections", "4"]);
+    // With the connection that this was asked on.
+    assert_eq!((connections(&service).await, open(&service).await), (4.into(), 1));
+    let others = idle(&service, 3);
+    until_open(&service, 4).await;
+    let refused = ask(&service, "/v1/jobs").await.unwrap();
+    assert_eq!(
+        (&refused.headers()["connection"], &refused.headers()["retry-after"]),
+        (&"close".parse().unwrap(), &"5".parse().unwrap())
+    );
+    assert_eq!(problem(refused, 503, "too-many-connections").await["limit"], 4);
+    let post = Client::builder().tls_certs_only([]).build().unwrap().post(format!("{}/v1/jobs", service.url));
+    problem(post.body(meshes::large()).send().await.unwrap(), 503, "too-many-connections").await;
+    for probe in ["/healthz", "/readyz", "/metrics"] {
+        assert_eq!(ask(&service, probe).await.unwrap().status(), 200, "{probe}");
+    }
+    // Who is in already is served.
+    let job = service.accepted("", meshes::small()).await;
+    service.ended(&job).await;
+    drop(others);
+    until_open(&service, 1).await;
+    assert_eq!(ask(&service, "/v1/jobs").await.unwrap().status(), 200);
+}
+
+#[tokio::test]
+async fn past_those_the_next_wait_until_one_has_gone() {
+    let service = Service::start(&["--max-connections", "4"]);
+    assert_eq!(open(&service).await, 1);
+    let others = idle(&service, 3);
+    until_open(&service, 4).await;
+    // A quarter of the limit, which has five seconds.
+    let standing = idle(&service, 1);
+    let waits = ask(&service, "/healthz");
+    let begin = Instant::now();
+    assert_eq!(waits.await.unwrap().status(), 200);
+    assert!(begin.elapsed() > Duration::from_secs(2), "it waited for the one that stood");
+    drop((others, standing));
+}
+
+#[tokio::test]
+async fn connections_leave_files_for_jobs() {
+    let data = Arc::new(tempfile::tempdir().unwrap());
+    let mut shell = Command::new("sh");
+    shell.args(["-c", "ulimit -n 100; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_rosaline"), "serve"]);
+    let service = Service::try_start(crate::service::set_up(&mut shell, data.path()), data).unwrap();
+    let job = service.accepted("", meshes::small()).await;
+    assert_eq!(connections(&service).await, 25);
+    assert!(service.log_with("max-connections").await.contains("WARN"), "{}", service.log());
+    // More than there are files for, and no more than wait to be accepted.
+    let others = idle(&service, 100);
+    until_open(&service, 25).await;
+    assert_eq!(service.ended(&job).await["status"], "successful");
+    let job = service.accepted("", meshes::small()).await;
+    assert_eq!(service.ended(&job).await["status"], "successful", "{}", service.log());
+    drop(others);
+}
