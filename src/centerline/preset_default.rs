@@ -14,6 +14,7 @@ use crate::centerline::cut_plane::bulges::{at_wall, round_bulge};
 use crate::centerline::cut_plane::cross_sections::{judge_outward, settle};
 use crate::centerline::cut_plane::march::{Toward, close_ring, fill_gaps, march};
 use crate::centerline::cut_plane::ownership::{Wall, owners};
+use crate::centerline::cut_plane::stubs::{RINGS, stations_before};
 use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, observe, smooth};
 use crate::centerline::recentering::displaced::settle_displaced;
 use crate::centerline::recentering::ends::reach_ends;
@@ -112,51 +113,59 @@ fn cut_planes(
     control: &Control<'_>,
 ) -> Result<Vec<bool>, ExtractError> {
     let surface = grid.surface();
-    let tip = |node: usize, reeb: u32| network.is_end(node).then(|| rim_level(surface, graph, reeb));
-    let opens = |reeb: u32| {
-        let vertex = graph.nodes[reeb as usize].vertex;
-        surface.openings.iter().any(|opening| opening.centre == vertex)
-    };
-    let ends: Vec<(Option<f64>, Option<f64>)> = network
-        .tracks
-        .iter()
-        .zip(chains)
-        .map(|(track, chain)| (tip(track.from, chain.from), tip(track.to, chain.to)))
-        .collect();
+    let level = |node: usize, reeb: u32| network.is_end(node).then(|| rim_level(surface, graph, reeb));
+    let levels_of =
+        |(track, chain): (&Track, &Chain)| [level(track.from, chain.from), level(track.to, chain.to)];
+    let levels: Vec<[Option<f64>; 2]> = network.tracks.iter().zip(chains).map(levels_of).collect();
     let rings_alone: Vec<bool> = network.tracks.iter().map(|track| network.is_ring(track.from)).collect();
-    let work = network.tracks.par_iter_mut().zip(chains).zip(&ends).zip(rings_alone).enumerate();
-    work.map(|(number, (((track, chain), &(from_tip, to_tip)), ring))| {
+    let work = network.tracks.par_iter_mut().zip(chains).zip(&levels).zip(rings_alone).enumerate();
+    work.map(|(number, (((track, chain), &[from_level, to_level]), ring))| {
         control.cancel.check()?;
-        leave_caps_out(&mut track.rings, from_tip, to_tip);
+        leave_caps_out(&mut track.rings, from_level, to_level);
         track.stations = stations_of(&track.rings);
+        let at_end = from_level.is_none();
+        let is_leaf = at_end != to_level.is_none();
+        let tip = graph.nodes[if at_end { chain.to } else { chain.from } as usize].vertex;
+        let opening = surface.openings.iter().find(|opening| is_leaf && opening.centre == tip);
         // An opening is no dome: a stump that was cut runs straight to it.
-        let leaf = from_tip.is_some() != to_tip.is_some() && !opens(chain.from) && !opens(chain.to);
-        let tip = graph.nodes[if from_tip.is_some() { chain.from } else { chain.to } as usize].vertex;
-        if leaf && raised.contains(&tip) {
-            at_wall(surface, track, tip);
+        if is_leaf && opening.is_none() && is_bulge(grid, track, (tip, at_end), raised) {
             return Ok(true);
         }
-        if leaf && round_bulge(grid, track, from_tip.is_some()) {
-            return Ok(true);
+        match opening.filter(|_| track.rings.len() < RINGS) {
+            Some(opening) => track.oriented(at_end, |track| stations_before(surface, track, opening)),
+            None => trim_tips(track, from_level, to_level),
         }
-        trim_tips(track, from_tip, to_tip);
         settle(surface, track);
         control.cancel.check()?;
         let wall = Wall::new(surface, owners, number);
         let trusted = judge_outward(wall, track);
-        let toward = |tip: Option<f64>| if tip.is_some() { Toward::Cap } else { Toward::Joint };
-        fill_gaps(wall, track);
-        if ring {
-            close_ring(wall, track);
-            return Ok(trusted);
-        }
-        march(wall, track, toward(to_tip));
-        track.reverse();
-        march(wall, track, toward(from_tip));
-        track.reverse();
+        march_on(wall, track, [from_level, to_level].map(|level| level.is_some()), ring);
         Ok(trusted)
     })
     .collect()
+}
+
+/// Whether a leaf is no line of stations: a tip that was picked on a wall, or a round bulge; it gets its bulge then.
+fn is_bulge(grid: &TriangleGrid<'_>, track: &mut Track, (tip, at_end): (u32, bool), raised: &[u32]) -> bool {
+    if raised.contains(&tip) {
+        at_wall(grid.surface(), track, tip);
+        return true;
+    }
+    round_bulge(grid, track, !at_end)
+}
+
+/// From section to section through the gaps between stations, then on to both ends; `caps` says which of them are tips.
+fn march_on(wall: Wall<'_>, track: &mut Track, caps: [bool; 2], ring: bool) {
+    fill_gaps(wall, track);
+    if ring {
+        close_ring(wall, track);
+        return;
+    }
+    let [from, to] = caps.map(|is_cap| if is_cap { Toward::Cap } else { Toward::Joint });
+    march(wall, track, to);
+    track.reverse();
+    march(wall, track, from);
+    track.reverse();
 }
 
 /// The distance at a tip; at an opening that at its rim, below the raised centre.
@@ -174,15 +183,22 @@ fn rim_level(surface: &Surface, graph: &ReebGraph, node: u32) -> f64 {
 ///
 /// `from_level` and `to_level` are the function at the tips; `None` at joints.
 fn leave_caps_out(rings: &mut Vec<LevelSet>, from_level: Option<f64>, to_level: Option<f64>) {
-    /// Fewer say nothing of it either.
+    /// Of a branch that was cut close to its joint so many stay, the farthest from the cap.
     const LEAST: usize = 3;
     let (Some(first), Some(last)) = (rings.first(), rings.last()) else { return };
-    let (first, last) = (first.level, last.level);
-    let within =
-        |level: f64, tip: Option<f64>, other: f64| tip.is_none_or(|tip| (level - tip) * (other - tip) >= 0.0);
-    let keep = |ring: &LevelSet| within(ring.level, from_level, last) && within(ring.level, to_level, first);
+    let rises = last.level >= first.level;
+    let over = |level: f64, tip: Option<f64>| tip.is_none_or(|tip| level >= tip);
+    let under = |level: f64, tip: Option<f64>| tip.is_none_or(|tip| level <= tip);
+    let keep = |ring: &LevelSet| {
+        let (low, high) = if rises { (from_level, to_level) } else { (to_level, from_level) };
+        over(ring.level, low) && under(ring.level, high)
+    };
     if rings.iter().filter(|ring| keep(ring)).count() >= LEAST {
         rings.retain(keep);
+    } else if from_level.is_none() {
+        rings.truncate(LEAST);
+    } else if to_level.is_none() {
+        rings.drain(..rings.len().saturating_sub(LEAST));
     }
 }
 

@@ -24,6 +24,18 @@ pub struct Opening {
     pub was_closed: bool,
 }
 
+impl Opening {
+    /// Of its cap, out of the vessel, twice its area long; zero where the rim encloses nothing. `mesh` is its surface's.
+    pub fn area_vector(&self, mesh: &TriangleMesh) -> Vector3<f64> {
+        self.cap.clone().map(|t| mesh.area_vector(t)).sum()
+    }
+
+    /// Radius of the circle with the area within its rim, which a jagged rim does not lengthen.
+    pub fn area_radius(&self, mesh: &TriangleMesh) -> f64 {
+        (0.5 * self.area_vector(mesh).norm() / std::f64::consts::PI).sqrt()
+    }
+}
+
 /// Closes every boundary loop by a fan around the centre of its rim; returns the openings, and a vertex of each hole
 /// that is none. Rims of vertices in `closed` are those of flat caps. O(boundary edges).
 pub(super) fn cap(

@@ -1,6 +1,7 @@
 //! Phantoms whose line was told with a wrong or doubled branch once.
 
 use nalgebra::{Point3, Vector3};
+use rosaline::centerline::{Node, NodeKind};
 use rosaline::mesh::TriangleMesh;
 use rosaline::phantom::{Kind, Settings, generate};
 
@@ -144,6 +145,33 @@ fn a_fork_of_wide_short_legs_has_an_end_a_leg() {
                 let away = found.centerline.nodes.iter().map(|node| (node.position.coords - tip).norm());
                 assert!(away.fold(f64::INFINITY, f64::min) < 0.2 * radius, "no end near {tip} of {case}");
             }
+        }
+    }
+}
+
+/// A front comes to a branch that was cut close to its vessel aslant: no level set of it lies before the rim.
+#[test]
+fn a_branch_that_was_cut_close_to_its_vessel_meets_it_where_their_axes_do() {
+    for (trunk, [degrees, out, radius]) in [
+        ([12.0, 8.0], [97.0, 4.0, 1.8]),
+        ([11.4, 14.0], [112.0, 2.1, 1.1]),
+        ([13.0, 8.0], [134.0, 5.6, 2.7]),
+        ([14.0, 9.0], [60.0, 3.6, 1.5]),
+        ([9.0, 13.0], [118.0, 5.4, 2.3]),
+    ] {
+        let (sin, cos) = f64::to_radians(degrees).sin_cos();
+        let leg = Vector3::new(cos, 0.0, sin) * (3.0 / sin + out);
+        let legs = [(Vector3::x() * -trunk[0], 3.0), (Vector3::x() * trunk[1], 3.0), (leg, radius)];
+        for shift in [0.0, 0.13] {
+            let found = line_of(&open_fork(&legs, [0.2 * radius, shift]));
+            let case = format!("{trunk:?} {degrees} {out} {radius} {shift}: {:?}", found.warnings);
+            assert_eq!(ends_and_junctions(&found.centerline), (3, 1), "{case}");
+            assert!(found.warnings.is_empty(), "{case}");
+            let joint = found.centerline.nodes.iter().find(|node| node.kind == NodeKind::Junction).unwrap();
+            assert!(joint.position.coords.norm() < 0.3, "{} of {case}", joint.position);
+            let end = |node: &&Node| (node.position.coords - leg).norm() < 0.2 * radius;
+            let end = found.centerline.nodes.iter().find(end).unwrap_or_else(|| panic!("no end of {case}"));
+            assert!((end.radius / radius - 1.0).abs() < 0.05, "{} of {case}", end.radius);
         }
     }
 }

@@ -6,6 +6,7 @@ pub mod march;
 pub mod normal_lines;
 pub mod ownership;
 pub mod section;
+pub mod stubs;
 pub mod wall_fit;
 pub mod wall_shape;
 

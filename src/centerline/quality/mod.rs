@@ -83,8 +83,7 @@ impl Measured {
         let twice = thick.map(|thick| thick.warning(index));
         let offsets = centeredness::measure(sections);
         let (unequal, outside) = (homotopy.warning(index), inside.warning(index));
-        let warnings =
-            [unequal, outside, covered.warning(index, tree), tight, twice, offsets.warning(index)];
+        let warnings = [unequal, outside, covered.warning(index, tree), tight, twice, offsets.warning(index)];
         let measured = Self { components: 1, homotopy, inside, offsets, covered, thick: thick.is_some() };
         (measured, warnings.into_iter().flatten().collect())
     }
@@ -196,7 +195,10 @@ mod tests {
         assert_eq!(warnings, ["outside"]);
         let (quality, warnings) = measured(&tube(), &straight(0.0, 20.0, 1.2));
         assert_eq!((quality.inside, quality.centeredness.sections), (0.0, 0));
-        assert_eq!((quality.centeredness.mean, warnings), (None, vec!["outside", "wall-without-line", "no-section"]));
+        assert_eq!(
+            (quality.centeredness.mean, warnings),
+            (None, vec!["outside", "wall-without-line", "no-section"])
+        );
     }
 
     #[test]

@@ -39,6 +39,7 @@ pub fn reach_ends(
         for at_end in [false, true] {
             let Some(tip) = tips[usize::from(at_end)].filter(|_| wanted(track)) else { continue };
             let EndPoint { point, radius } = track.oriented(at_end, |track| {
+                stay_inside(grid.surface(), track, tip);
                 follow_rings(grid, track, tip);
                 settle_radii(&mut track.stations);
                 end_point(grid, track, tip)
@@ -66,7 +67,7 @@ pub fn end_point(grid: &TriangleGrid<'_>, track: &Track, tip: u32) -> EndPoint {
     let tip_point = surface.mesh.vertices[tip as usize];
     let opening = surface.openings.iter().find(|opening| opening.centre == tip);
     let Some(last) = track.stations.last() else {
-        let radius = opening.map_or(0.0, |opening| opening.radius);
+        let radius = opening.map_or(0.0, |opening| opening.area_radius(&surface.mesh));
         return EndPoint { point: tip_point, radius };
     };
     let points: Vec<Point3<f64>> = track.stations.iter().map(|s| s.point).collect();
@@ -77,6 +78,7 @@ pub fn end_point(grid: &TriangleGrid<'_>, track: &Track, tip: u32) -> EndPoint {
     if let Some(opening) = opening {
         let square = rim_normal(surface, opening);
         let point = in_opening(&line, &tip_point, square, last.section_radius);
+        let point = on_cap(grid, &last.point, point, opening.radius);
         return EndPoint { point, radius: continued_radius(track, (point - last.point).norm()) };
     }
     let hit = grid.way_out(&last.point, &line.tangent);
@@ -84,6 +86,18 @@ pub fn end_point(grid: &TriangleGrid<'_>, track: &Track, tip: u32) -> EndPoint {
     let to_tip = (tip_point - last.point).dot(&line.tangent).max(0.1 * last.section_radius);
     let distance = near.unwrap_or(to_tip);
     EndPoint { point: last.point + line.tangent * distance, radius: continued_radius(track, distance) }
+}
+
+/// Takes back what lies past the opening that a track ends in, or hardly before it: of a branch that was cut close to its joint
+/// no level set but those of the opening's cap may be left, which shrink toward its raised centre.
+fn stay_inside(surface: &Surface, track: &mut Track, tip: u32) {
+    /// Least distance from the opening's plane, in its radii.
+    const BEFORE: f64 = 0.01;
+    let Some(opening) = surface.openings.iter().find(|opening| opening.centre == tip) else { return };
+    let (centre, square) = (surface.mesh.vertices[tip as usize], rim_normal(surface, opening));
+    let is_inside = |station: &Station| (centre - station.point).dot(&square) > BEFORE * opening.radius;
+    let inside = track.stations.iter().rposition(is_inside).map_or(0, |last| last + 1);
+    track.stations.truncate(inside);
 }
 
 /// Where a line ends in an opening, on its plane: beside the centre of the rim, which a jagged cut moves off the axis;
@@ -109,10 +123,19 @@ fn in_opening(line: &CurveEnd, centre: &Point3<f64>, square: Vector3<f64>, radiu
     if near { point } else { *centre }
 }
 
+/// An end beside the middle of an opening, on its cap where that lies a little before its plane: a jagged rim is not plane.
+fn on_cap(grid: &TriangleGrid<'_>, from: &Point3<f64>, end: Point3<f64>, radius: f64) -> Point3<f64> {
+    /// Most that a cap lies before its plane, in its radii.
+    const BEFORE: f64 = 0.25;
+    let way = end - from;
+    let reached = grid.way_out(from, &way).filter(|&share| share < 1.0);
+    let cap = reached.map(|share| from + way * share);
+    cap.filter(|cap| (end - cap).norm() < BEFORE * radius).unwrap_or(end)
+}
+
 /// The direction out of the vessel and square to an opening, unit; zero where the rim encloses nothing.
 fn rim_normal(surface: &Surface, opening: &Opening) -> Vector3<f64> {
-    let areas = opening.cap.clone().map(|t| surface.mesh.area_vector(t));
-    areas.sum::<Vector3<f64>>().try_normalize(0.0).unwrap_or_default()
+    opening.area_vector(&surface.mesh).try_normalize(0.0).unwrap_or_default()
 }
 
 /// Goes on along the middles of the level sets where a line that runs straight on would leave the lumen through

@@ -35,7 +35,8 @@ pub fn countered(
         let wall = tube.reached().filter(|(v, _)| !cap.contains(v));
         let meet = wall.map(|(v, d)| from_root(v) + d).fold(0.0, f64::max);
         let level = |d: f64| meet - d - (d - firm).max(0.0);
-        let front = geodesic_near(edges, (*vertex, cap), |v, d| level(d) > from_root(v), cancel)?;
+        let goes_on = |v: u32, d: f64| level(d) > from_root(v) || cap.contains(&v);
+        let front = geodesic_near(edges, (*vertex, cap), goes_on, cancel)?;
         for (v, d) in front.reached() {
             let value = &mut function[v as usize];
             *value = value.max(level(d));

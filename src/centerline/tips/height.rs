@@ -98,6 +98,11 @@ impl Pruning<'_> {
         self.closed_at(leaf).map_or(0.0, |closed| RISE * closed.radius)
     }
 
+    /// The same of any opening: how far its branch rises to it is what is left.
+    pub fn rise_of_opening(&self, leaf: u32) -> f64 {
+        self.opening_at(leaf).map_or(0.0, |opening| RISE * opening.radius)
+    }
+
     /// Length of a short edge at a node: not the shortest, which noise makes. At a flat cap the mean of its rim's: those
     /// of a fan are as long as the cap is wide.
     fn edge_at(&self, node: u32) -> f64 {

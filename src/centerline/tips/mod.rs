@@ -261,7 +261,7 @@ impl Pruning<'_> {
         let leaves = nodes.filter(|&node| node != ROOT && self.degree(node) == 1);
         let low = leaves.filter_map(|leaf| {
             let (arcs, base) = self.leaf_chain(leaf)?;
-            let height = self.rise(&arcs) - self.rise_of_cap(leaf);
+            let height = self.rise(&arcs) - self.rise_of_opening(leaf);
             let (_, radius) = self.base_of(&arcs)?;
             let is_low = self.degree(base) > 2 && height < LOW * radius;
             if is_low { self.short_tip(&arcs, base, leaf, (height, true)) } else { None }

@@ -60,12 +60,22 @@ pub fn stumps(
         if taken.contains(&tip.vertex) {
             continue;
         }
-        let Some(view) = best_tip_view(surface, edges, tip, cancel)? else { continue };
+        let opening = surface.openings.iter().find(|opening| opening.centre == tip.vertex);
+        let view = match opening {
+            Some(opening) => TipView::of_opening(surface, edges, opening, cancel)?,
+            None => best_tip_view(surface, edges, tip, cancel)?,
+        };
+        let Some(view) = view else { continue };
         let own = stays.then_some(tip.vertex);
+        let is_branch = || {
+            let is_tube = tip.beside.is_some_and(|beside| view.is_tube(beside));
+            is_tube && view.height() >= view.least_height(tip, tip_height)
+        };
         if !view.has_end_but(own, &ends)
             && view.is_one_ring(edges)
-            && tip.beside.is_some_and(|beside| view.is_tube(beside))
-            && view.is_hidden(tip, stays, tip_height)
+            // A vessel was cut at an opening, however shortly.
+            && (opening.is_some() || is_branch())
+            && (!stays || view.is_hidden(tip))
             && taken.is_disjoint(&view.stump.cap)
         {
             taken.extend(view.between(0.0..view.stump.base));
@@ -103,15 +113,23 @@ impl TipView {
         self.stump.radius <= WIDE * beside || self.slenderness() >= LONG
     }
 
-    /// Whether it is high enough to be a branch, and the root's front shows less of it: nothing, or a part where it
-    /// `stays`.
-    fn is_hidden(&self, tip: &ShortTip, stays: bool, tip_height: f64) -> bool {
+    /// How far it stands out, in the input's unit.
+    fn height(&self) -> f64 {
+        self.stump.base + CAP * self.stump.radius
+    }
+
+    /// How far it must, to be a branch.
+    fn least_height(&self, tip: &ShortTip, tip_height: f64) -> f64 {
+        let Stump { radius, .. } = self.stump;
+        let narrower = tip.beside.map_or(radius, |beside| radius.min(beside));
+        (tip_height * narrower).max(SAMPLES * tip.sample)
+    }
+
+    /// Whether the root's front shows no more than a part of an end that stays.
+    fn is_hidden(&self, tip: &ShortTip) -> bool {
         /// Most that a part rises, and least that it falls short of the whole, in radii: more is no corner.
         const PART: (f64, f64) = (3.0, 0.25);
-        let Stump { base, radius, .. } = self.stump;
-        let height = base + CAP * radius;
-        let narrower = tip.beside.map_or(radius, |beside| radius.min(beside));
-        let least = (tip_height * narrower).max(SAMPLES * tip.sample);
-        height >= least && (!stays || tip.height < (PART.0 * radius).min(height - PART.1 * radius))
+        let Stump { radius, .. } = self.stump;
+        tip.height < (PART.0 * radius).min(self.height() - PART.1 * radius)
     }
 }

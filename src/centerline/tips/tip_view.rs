@@ -8,7 +8,7 @@ use std::ops::Range;
 use nalgebra::Vector3;
 use rustc_hash::FxHashSet;
 
-use crate::mesh::preparation::Surface;
+use crate::mesh::preparation::{Opening, Surface};
 
 use super::ShortTip;
 use super::front_lengths::{FrontLengths, Tube};
@@ -99,6 +99,20 @@ fn most_slender(
 }
 
 impl TipView {
+    /// What a front from an opening shows: where its branch was cut and which way it points is known. `None` as for
+    /// [`from`](Self::from).
+    pub fn of_opening(
+        surface: &Surface,
+        edges: &EdgeGraph,
+        opening: &Opening,
+        cancel: &CancelToken,
+    ) -> Result<Option<Self>, ExtractError> {
+        let (vertex, radius) = (opening.centre, opening.area_radius(&surface.mesh));
+        let Some(outward) = opening.area_vector(&surface.mesh).try_normalize(0.0) else { return Ok(None) };
+        let end = End { vertex, radius, outward, short: true, near_joint: true };
+        Self::from(surface, edges, &end, (vertex, radius), cancel)
+    }
+
     /// `None` where the front shows no tube, or one that is no stump's beside a vessel of such a radius.
     pub fn from(
         surface: &Surface,
