@@ -126,12 +126,12 @@ fn cut_planes(
         let at_end = from_level.is_none();
         let is_leaf = at_end != to_level.is_none();
         let tip = graph.nodes[if at_end { chain.to } else { chain.from } as usize].vertex;
-        let opening = surface.openings.iter().find(|opening| is_leaf && opening.centre == tip);
+        let opening = surface.opening_at(tip).filter(|_| is_leaf);
         // An opening is no dome: a stump that was cut runs straight to it.
         if is_leaf && opening.is_none() && is_bulge(grid, track, (tip, at_end), raised) {
             return Ok(true);
         }
-        match opening.filter(|_| track.rings.len() < RINGS) {
+        match opening.filter(|_| (1..RINGS).contains(&track.rings.len())) {
             Some(opening) => track.oriented(at_end, |track| stations_before(surface, track, opening)),
             None => trim_tips(track, from_level, to_level),
         }
@@ -171,7 +171,7 @@ fn march_on(wall: Wall<'_>, track: &mut Track, caps: [bool; 2], ring: bool) {
 /// The distance at a tip; at an opening that at its rim, below the raised centre.
 fn rim_level(surface: &Surface, graph: &ReebGraph, node: u32) -> f64 {
     let node = &graph.nodes[node as usize];
-    let opening = surface.openings.iter().find(|opening| opening.centre == node.vertex);
+    let opening = surface.opening_at(node.vertex);
     let at_rim = |opening: &Opening| {
         opening.rim.iter().map(|&v| graph.function[v as usize]).fold(f64::INFINITY, f64::min)
     };

@@ -331,20 +331,16 @@ fn clock(now_ms: i64) -> Finding {
     Finding::Well("the clock is of this time".to_owned())
 }
 
-/// Whether there are files for all connections and uploads.
+/// Whether there are files for all connections.
 fn descriptors(limits: &Limits) -> Finding {
     let (wanted, most) = (limits.files(), checkup::descriptors());
     if most < wanted {
-        let (connections, uploads) = (limits.connections, limits.uploads);
         let what = format!(
-            "{most} files may be open at once, and {connections} connections and {uploads} uploads need {wanted}: there would be \
-             {} connections",
+            "{most} files may be open at once, and {} connections need {wanted}: there would be {}",
+            limits.connections,
             limits.within(most).connections
         );
-        return Finding::wrong(
-            what,
-            "raise it (ulimit -Hn, LimitNOFILE) or lower --max-connections or --max-uploads",
-        );
+        return Finding::wrong(what, "raise it (ulimit -Hn, LimitNOFILE) or lower --max-connections");
     }
     Finding::Well(format!("{most} files may be open at once"))
 }

@@ -154,17 +154,17 @@ pub(super) fn limits(args: &Args) -> Limits {
 
 /// With as many connections as this process may have.
 fn fitting(wanted: Limits) -> Limits {
-    if let Err(error) = checkup::raise_descriptors() {
-        tracing::warn!(%error, "the limit of open files cannot be raised");
+    let (files, raised) = checkup::raise_descriptors();
+    if let Err(error) = raised {
+        tracing::warn!(%error, files, "the limit of open files cannot be raised");
     }
-    let files = checkup::descriptors();
     let limits = wanted.within(files);
     if limits.connections < wanted.connections {
         tracing::warn!(
             files,
             connections = limits.connections,
             "fewer connections than --max-connections, as so few files may be open: raise it (ulimit -Hn, LimitNOFILE) \
-             or lower --max-connections or --max-uploads"
+             or lower --max-connections"
         );
     }
     limits

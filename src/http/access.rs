@@ -114,13 +114,18 @@ pub(super) async fn shut_out(app: &App, caller: &Caller, headers: &HeaderMap) ->
 #[derive(Debug, Clone)]
 pub struct Left(pub CancellationToken);
 
+/// Whether a path is one of the API's, about jobs and what belongs to them.
+pub(super) fn is_of_api(path: &str) -> bool {
+    path.starts_with("/v1/")
+}
+
 /// Lets a request for `/v1` or `/metrics` through, and tells the audit trail of it, once its caller is known and may do what
 /// it asks for.
 ///
 /// What may change something has a task of its own: it is done and told to its end, also when the client hangs up.
 pub async fn admit(State(app): State<App>, mut request: Request, next: Next) -> Response {
     let path = request.uri().path();
-    if !path.starts_with("/v1/") && path != "/metrics" {
+    if !is_of_api(path) && path != "/metrics" {
         return next.run(request).await;
     }
     if request.method().is_safe() {

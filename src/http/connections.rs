@@ -20,7 +20,7 @@ use tower_http::add_extension::AddExtension;
 
 use super::Tls;
 use super::audit::Peer;
-use super::crowd::{Crowd, HEARING, Standing};
+use super::crowd::{ASKING, Crowd, HEARING, Standing};
 
 /// Bytes of a request that should have been encrypted which are read and thrown away.
 const MOST_PLAIN: usize = 1 << 20;
@@ -44,7 +44,7 @@ pub(super) async fn serve(mut listener: TcpListener, house: House, closing: Canc
     let mut http = Builder::new(TokioExecutor::new()).http1_only();
     http.http1().timer(TokioTimer::new()).header_read_timeout(head);
     let mut once = http.clone();
-    once.http1().keep_alive(false);
+    once.http1().keep_alive(false).header_read_timeout(ASKING);
     let standing = router.clone().layer(Extension(Standing));
     let mut open = JoinSet::new();
     loop {
@@ -52,7 +52,8 @@ pub(super) async fn serve(mut listener: TcpListener, house: House, closing: Canc
             (socket, address) = Listener::accept(&mut listener), if crowd.has_room() => {
                 // There is room: only this loop takes places.
                 let Some(place) = crowd.take() else { continue };
-                let (http, router) = if place.is_seat() { (&http, &router) } else { (&once, &standing) };
+                let seated = (&http, &router, head);
+                let (http, router, head) = if place.is_seat() { seated } else { (&once, &standing, ASKING) };
                 let (http, router, peer) = (http.clone(), router.clone(), Peer(address.ip()));
                 let (tls, closing) = (tls.clone(), closing.clone());
                 open.spawn(async move {

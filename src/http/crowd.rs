@@ -13,12 +13,14 @@ use axum::response::{IntoResponse, Response};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::App;
+use super::access::is_of_api;
 use super::problem::{Problem, TOO_MANY_CONNECTIONS};
 
 /// The most connections past the limit that are open at once: this, and a quarter of the limit.
 const STANDING: usize = 64;
-/// How long one of them may be open.
+/// How long one of them may be open, and how long it may take to say what it wants: who says nothing keeps a probe waiting.
 pub(super) const HEARING: Duration = Duration::from_secs(5);
+pub(super) const ASKING: Duration = Duration::from_secs(1);
 /// Seconds after which a client should try again.
 const RETRY_AFTER: u32 = 5;
 
@@ -28,6 +30,7 @@ pub(super) struct Crowd {
     most: usize,
     seats: Arc<Semaphore>,
     standing: Arc<Semaphore>,
+    most_standing: usize,
 }
 
 /// A connection's place; dropping it gives it back.
@@ -47,12 +50,13 @@ impl Crowd {
     pub(super) fn new(most: usize) -> Self {
         let most = most.clamp(1, Semaphore::MAX_PERMITS);
         let standing = (most / 4).clamp(1, STANDING);
-        Self { most, seats: Arc::new(Semaphore::new(most)), standing: Arc::new(Semaphore::new(standing)) }
+        let of = |places| Arc::new(Semaphore::new(places));
+        Self { most, seats: of(most), standing: of(standing), most_standing: standing }
     }
 
     /// Whether one more may be accepted.
     pub(super) fn has_room(&self) -> bool {
-        self.standing.available_permits() > 0
+        self.seats.available_permits() > 0 || self.standing.available_permits() > 0
     }
 
     /// A place for one more, where there is [room](Self::has_room).
@@ -67,6 +71,11 @@ impl Crowd {
     pub(super) fn seated(&self) -> usize {
         self.most - self.seats.available_permits()
     }
+
+    /// Those past it.
+    pub(super) fn standing(&self) -> usize {
+        self.most_standing - self.standing.available_permits()
+    }
 }
 
 /// The mark of a request on a connection past the limit.
@@ -75,8 +84,7 @@ pub(super) struct Standing;
 
 /// Answers what comes on a connection past the limit and is about jobs with a 503.
 pub(super) async fn turn_away(State(app): State<App>, request: Request, next: Next) -> Response {
-    let is_of_api = request.uri().path().starts_with("/v1");
-    if !is_of_api || request.extensions().get::<Standing>().is_none() {
+    if !is_of_api(request.uri().path()) || request.extensions().get::<Standing>().is_none() {
         return next.run(request).await;
     }
     let most = app.limits().connections;
@@ -97,7 +105,12 @@ mod tests {
         let standing = [crowd.take().unwrap(), crowd.take().unwrap()];
         assert!(standing.iter().all(|place| !place.is_seat()));
         assert!(!crowd.has_room() && crowd.take().is_none());
-        assert_eq!(crowd.seated(), 8);
+        assert_eq!((crowd.seated(), crowd.standing()), (8, 2));
+        // A seat is free though nobody may stand.
+        seated.pop();
+        assert!(crowd.has_room());
+        seated.push(crowd.take().unwrap());
+        assert!(seated.iter().all(Place::is_seat) && !crowd.has_room());
         drop(standing);
         assert!(crowd.has_room() && !crowd.take().unwrap().is_seat());
         seated.pop();

@@ -19,7 +19,7 @@ const SMALL_DECODED: usize = 16 << 20;
 /// meshes (docs/reliability.md, "What the check of an upload takes").
 const CHECK_BYTES: u64 = 250;
 
-/// Files for the database, logs, runs, webhooks and connections past the limit.
+/// Files for the database, logs, webhooks, connections past the limit, and the pipes of up to 30 runs.
 const OTHER_FILES: u64 = 256;
 
 /// What one request may use, and for how long.
@@ -78,15 +78,15 @@ impl Limits {
         }
     }
 
-    /// Files that the service may have open at once: a connection each, one for each upload, and [others](OTHER_FILES).
+    /// Files that the service may have open at once: a connection and the file that comes in or goes out on it, and
+    /// [others](OTHER_FILES).
     pub fn files(&self) -> u64 {
-        (self.connections as u64).saturating_add(self.uploads as u64).saturating_add(OTHER_FILES)
+        (self.connections as u64).saturating_mul(2).saturating_add(OTHER_FILES)
     }
 
-    /// With as many connections as there are `files` for: at least a quarter of them, as uploads are rarely as many as they
-    /// may be.
+    /// With as many connections as there are `files` for: at least a sixth of them, as a service so small has fewer others.
     pub fn within(self, files: u64) -> Self {
-        let room = files.saturating_sub(Self { connections: 0, ..self }.files()).max(files / 4).max(1);
+        let room = (files.saturating_sub(OTHER_FILES) / 2).max(files / 6).max(1);
         Self { connections: self.connections.min(usize::try_from(room).unwrap_or(usize::MAX)), ..self }
     }
 
@@ -109,7 +109,7 @@ impl Default for Limits {
             parameters_bytes: 64 << 10,
             upload_idle: Duration::from_secs(30),
             head: Duration::from_secs(30),
-            connections: 2048,
+            connections: 1024,
             validations: 2,
             uploads: 256,
             uploads_each: 64,
@@ -133,14 +133,14 @@ mod tests {
 
     #[test]
     fn connections_are_as_many_as_there_are_files_for() {
-        let limits = Limits { connections: 4096, uploads: 256, ..Limits::default() };
-        assert_eq!(limits.files(), 4096 + 256 + 256);
+        let limits = Limits { connections: 4096, ..Limits::default() };
+        assert_eq!(limits.files(), 2 * 4096 + 256);
         let of = |files| limits.within(files).connections;
         assert_eq!(
-            [of(u64::MAX), of(4608), of(4607), of(1024), of(64), of(0)],
-            [4096, 4096, 4095, 512, 16, 1]
+            [of(u64::MAX), of(8448), of(8447), of(1024), of(64), of(0)],
+            [4096, 4096, 4095, 384, 10, 1]
         );
-        assert_eq!(Limits { connections: usize::MAX, ..limits }.within(1024).connections, 512);
+        assert_eq!(Limits { connections: usize::MAX, ..limits }.within(1024).connections, 384);
     }
 
     #[test]

@@ -279,16 +279,15 @@ pub fn free(path: &Path) -> io::Result<u64> {
     Ok(found.f_bavail * found.f_frsize)
 }
 
-/// How many files this process may have open, once it has [asked for them](raise_descriptors).
+/// How many files a process may have open where it [asks for them](raise_descriptors).
 pub fn descriptors() -> u64 {
     getrlimit(Resource::Nofile).maximum.unwrap_or(u64::MAX)
 }
 
-/// Lets this process have as many files open as it may ask for: systemd and shells begin with 1024, whatever that is.
-///
-/// # Errors
-/// When the system refuses it.
-pub fn raise_descriptors() -> io::Result<()> {
+/// Lets this process have as many files open as it may ask for: systemd and shells begin with 1024, whatever that is. How many
+/// it may have open now, also where the system refuses that.
+pub fn raise_descriptors() -> (u64, io::Result<()>) {
     let maximum = getrlimit(Resource::Nofile).maximum;
-    Ok(setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum })?)
+    let raised = setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum });
+    (getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX), raised.map_err(io::Error::from))
 }

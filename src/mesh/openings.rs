@@ -7,6 +7,7 @@ use rustc_hash::FxHashSet;
 
 use super::TriangleMesh;
 use super::corner_table::{NONE, next, previous};
+use super::preparation::Surface;
 use super::sites::Sites;
 
 /// An opening of the surface, closed by a fan of triangles around its centre.
@@ -33,6 +34,26 @@ impl Opening {
     /// Radius of the circle with the area within its rim, which a jagged rim does not lengthen.
     pub fn area_radius(&self, mesh: &TriangleMesh) -> f64 {
         (0.5 * self.area_vector(mesh).norm() / std::f64::consts::PI).sqrt()
+    }
+}
+
+impl Surface {
+    /// Whether a triangle closes an opening: it is no wall. O(log openings).
+    pub fn is_cap(&self, triangle: u32) -> bool {
+        self.opening_of(triangle).is_some()
+    }
+
+    /// The opening that a triangle closes. O(log openings).
+    pub fn opening_of(&self, triangle: u32) -> Option<&Opening> {
+        let after = self.openings.partition_point(|opening| opening.cap.start <= triangle);
+        self.openings[..after].last().filter(|opening| opening.cap.contains(&triangle))
+    }
+
+    /// The opening whose centre a vertex is. O(log openings).
+    pub fn opening_at(&self, vertex: u32) -> Option<&Opening> {
+        // All triangles of a centre are its cap's.
+        let opening = self.opening_of(self.corners.outgoing(vertex) / 3);
+        opening.filter(|opening| opening.centre == vertex)
     }
 }
 

@@ -60,17 +60,6 @@ impl Surface {
         self.openings.iter().filter(|opening| !opening.was_closed).count()
     }
 
-    /// Whether a triangle closes an opening: it is no wall. O(log openings).
-    pub fn is_cap(&self, triangle: u32) -> bool {
-        self.opening_of(triangle).is_some()
-    }
-
-    /// The opening that a triangle closes. O(log openings).
-    pub fn opening_of(&self, triangle: u32) -> Option<&Opening> {
-        let after = self.openings.partition_point(|opening| opening.cap.start <= triangle);
-        self.openings[..after].last().filter(|opening| opening.cap.contains(&triangle))
-    }
-
     /// Diagonal of the bounding box, in the input's unit.
     pub fn diagonal(&self) -> f64 {
         diagonal(&self.mesh)

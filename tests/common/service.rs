@@ -186,7 +186,9 @@ impl Service {
     pub async fn accepted(&self, query: &str, body: impl Into<reqwest::Body>) -> String {
         let response = self.submit(query, body).await;
         let (status, headers) = (response.status(), response.headers().clone());
-        assert_eq!(status, StatusCode::CREATED, "{}", response.text().await.unwrap());
+        // Read to its end, or its connection would not be used again.
+        let text = response.text().await.unwrap();
+        assert_eq!(status, StatusCode::CREATED, "{text}");
         headers["location"].to_str().unwrap().to_owned()
     }
 

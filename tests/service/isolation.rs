@@ -116,9 +116,12 @@ async fn a_process_takes_one_run_after_the_other_and_ends_when_there_is_none() {
     let large = service.accepted("", meshes::stl(&meshes::tube(1500, 150))).await;
     assert_eq!(service.ended(&large).await["status"], "successful");
     // The job is done a moment before its process is, which never rests.
+    let begin = Instant::now();
     while !children(service.pid()).is_empty() {
+        assert!(begin.elapsed() < PATIENCE, "{}", service.log());
         let metrics = service.get("/metrics").send().await.unwrap().text().await.unwrap();
         assert!(metrics.contains("\nrosaline_run_processes_resting 0\n"), "{metrics}");
+        tokio::time::sleep(Duration::from_millis(20)).await;
     }
     let small = service.accepted("", meshes::small()).await;
     assert_eq!(service.ended(&small).await["status"], "successful");

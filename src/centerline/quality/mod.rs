@@ -8,6 +8,7 @@ mod coverage;
 mod homotopy;
 mod inside;
 mod piece;
+mod reach;
 mod room;
 mod thinness;
 

@@ -65,7 +65,7 @@ pub fn reach_ends(
 pub fn end_point(grid: &TriangleGrid<'_>, track: &Track, tip: u32) -> EndPoint {
     let surface = grid.surface();
     let tip_point = surface.mesh.vertices[tip as usize];
-    let opening = surface.openings.iter().find(|opening| opening.centre == tip);
+    let opening = surface.opening_at(tip);
     let Some(last) = track.stations.last() else {
         let radius = opening.map_or(0.0, |opening| opening.area_radius(&surface.mesh));
         return EndPoint { point: tip_point, radius };
@@ -93,9 +93,16 @@ pub fn end_point(grid: &TriangleGrid<'_>, track: &Track, tip: u32) -> EndPoint {
 fn stay_inside(surface: &Surface, track: &mut Track, tip: u32) {
     /// Least distance from the opening's plane, in its radii.
     const BEFORE: f64 = 0.01;
-    let Some(opening) = surface.openings.iter().find(|opening| opening.centre == tip) else { return };
+    /// How far from its middle, in its radii, a bend may come back past that plane.
+    const NEAR: f64 = 2.0;
+    let Some(opening) = surface.opening_at(tip) else { return };
     let (centre, square) = (surface.mesh.vertices[tip as usize], rim_normal(surface, opening));
-    let is_inside = |station: &Station| (centre - station.point).dot(&square) > BEFORE * opening.radius;
+    let is_inside = |station: &Station| {
+        let away = centre - station.point;
+        away.norm() > NEAR * opening.radius
+            || away.dot(&square) > BEFORE * opening.radius
+            || square == Vector3::zeros()
+    };
     let inside = track.stations.iter().rposition(is_inside).map_or(0, |last| last + 1);
     track.stations.truncate(inside);
 }

@@ -84,7 +84,7 @@ impl Pruning<'_> {
     /// The opening whose centre a node is.
     pub fn opening_at(&self, node: u32) -> Option<&Opening> {
         let vertex = self.graph.nodes[node as usize].vertex;
-        self.surface.openings.iter().find(|opening| opening.centre == vertex)
+        self.surface.opening_at(vertex)
     }
 
     /// The cut whose flat cap's middle a node is.

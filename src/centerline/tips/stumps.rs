@@ -60,7 +60,9 @@ pub fn stumps(
         if taken.contains(&tip.vertex) {
             continue;
         }
-        let opening = surface.openings.iter().find(|opening| opening.centre == tip.vertex);
+        let opening = surface.opening_at(tip.vertex);
+        // A vessel was cut at an opening, however shortly; one that went is a hole.
+        let is_cut = stays && opening.is_some_and(|opening| !opening.was_closed);
         let view = match opening {
             Some(opening) => TipView::of_opening(surface, edges, opening, cancel)?,
             None => best_tip_view(surface, edges, tip, cancel)?,
@@ -73,8 +75,7 @@ pub fn stumps(
         };
         if !view.has_end_but(own, &ends)
             && view.is_one_ring(edges)
-            // A vessel was cut at an opening, however shortly.
-            && (opening.is_some() || is_branch())
+            && (is_cut || is_branch())
             && (!stays || view.is_hidden(tip))
             && taken.is_disjoint(&view.stump.cap)
         {

@@ -83,7 +83,7 @@ pub struct Args {
     #[arg(long, env = "ROSALINE_AUDIT_ROTATE", default_value = "64MiB", value_name = "SIZE", value_parser = rotation)]
     pub audit_rotate: Size,
     /// Connections that may be open at the same time, as far as so many files may be open.
-    #[arg(long, env = "ROSALINE_MAX_CONNECTIONS", default_value = "2048", value_name = "N", value_parser = positive::<NonZeroUsize>)]
+    #[arg(long, env = "ROSALINE_MAX_CONNECTIONS", default_value = "1024", value_name = "N", value_parser = positive::<NonZeroUsize>)]
     pub max_connections: NonZeroUsize,
     /// Uploads that may come in at the same time.
     #[arg(long, env = "ROSALINE_MAX_UPLOADS", default_value = "256", value_name = "N", value_parser = positive::<NonZeroUsize>)]

@@ -73,8 +73,9 @@ fn write_deliveries(text: &mut Exposition, counts: DeliveryCounts) {
 fn write_warnings(text: &mut Exposition, app: &App) {
     text.gauge("clock_doubted", "1 while the clock cannot be trusted and nothing is removed for its age.");
     text.sample(&[], u8::from(app.jobs().clock_doubt().is_some()));
-    text.gauge("connections", "Connections that are open, within the limit.");
-    text.sample(&[], app.connections().seated());
+    text.gauge("connections", "Connections that are open, within the limit and past it.");
+    text.sample(&[("limit", "within")], app.connections().seated());
+    text.sample(&[("limit", "past")], app.connections().standing());
     text.counter("log_lines_lost_total", "Lines of the log that could not be written, or not in time.");
     text.sample(&[], app.lost_lines().count());
     if let Some(expiry) = app.tls().and_then(|tls| tls.expiry()) {
