@@ -347,6 +347,7 @@ impl From<PreparationError> for ExtractError {
     fn from(error: PreparationError) -> Self {
         match error {
             PreparationError::NoTriangles => ExtractError::NoTriangles,
+            PreparationError::OutOfScale { diagonal } => ExtractError::OutOfScale { diagonal },
             PreparationError::AllDegenerate { triangles } => ExtractError::AllDegenerate { triangles },
             PreparationError::FarOut(sites) => {
                 ExtractError::FarOut { count: sites.count, first: sites.list() }

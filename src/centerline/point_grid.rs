@@ -1,5 +1,7 @@
 //! Neighbours within a radius, by a sorted uniform grid.
 
+use std::ops::Range;
+
 use nalgebra::{Point3, Vector3};
 
 type Cell = [i64; 3];
@@ -56,10 +58,9 @@ impl PointGrid {
         let rows = |axis: usize| (high[axis].saturating_sub(low[axis]) as usize).saturating_add(1);
         if rows(0).saturating_mul(rows(1)) > self.cells.len() {
             // A ball of so many cubes' size: most of its rows are empty.
-            for (number, (cell, start)) in self.cells.iter().enumerate() {
+            for (number, (cell, _)) in self.cells.iter().enumerate() {
                 if (0..3).all(|axis| (low[axis]..=high[axis]).contains(&cell[axis])) {
-                    let end = self.cells.get(number + 1).map_or(self.order.len(), |(_, end)| *end as usize);
-                    self.order[*start as usize..end].iter().for_each(|&index| look_at(index));
+                    self.points_of(number..number + 1).iter().for_each(|&index| look_at(index));
                 }
             }
             return;
@@ -68,14 +69,15 @@ impl PointGrid {
             for y in low[1]..=high[1] {
                 let first = self.cells.partition_point(|(cell, _)| *cell < [x, y, low[2]]);
                 let row = self.cells[first..].iter().take_while(|(cell, _)| *cell <= [x, y, high[2]]).count();
-                if row == 0 {
-                    continue;
-                }
-                let start = self.cells[first].1 as usize;
-                let end = self.cells.get(first + row).map_or(self.order.len(), |(_, start)| *start as usize);
-                self.order[start..end].iter().for_each(|&index| look_at(index));
+                self.points_of(first..first + row).iter().for_each(|&index| look_at(index));
             }
         }
+    }
+
+    /// The points of a run of cubes.
+    fn points_of(&self, cells: Range<usize>) -> &[u32] {
+        let start = |cell: usize| self.cells.get(cell).map_or(self.order.len(), |(_, start)| *start as usize);
+        &self.order[start(cells.start)..start(cells.end)]
     }
 }
 

@@ -333,12 +333,12 @@ fn clock(now_ms: i64) -> Finding {
 
 /// Whether there are files for all connections.
 fn descriptors(limits: &Limits) -> Finding {
-    let (wanted, most) = (limits.files(), checkup::descriptors());
-    if most < wanted {
+    let most = checkup::descriptors();
+    let within = limits.within(most).connections;
+    if within < limits.connections {
+        let (connections, wanted) = (limits.connections, limits.files());
         let what = format!(
-            "{most} files may be open at once, and {} connections need {wanted}: there would be {}",
-            limits.connections,
-            limits.within(most).connections
+            "{most} files may be open at once, and --max-connections {connections} needs {wanted}: the service would allow {within}"
         );
         return Finding::wrong(what, "raise it (ulimit -Hn, LimitNOFILE) or lower --max-connections");
     }

@@ -8,6 +8,7 @@ mod stop;
 use std::io::Write;
 use std::net::SocketAddr;
 use std::num::NonZeroU64;
+use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -106,31 +107,40 @@ pub(super) fn target_file(args: &Args) -> TargetFile {
 }
 
 async fn serve(args: Args, spans: Spans, log: &Log) -> Result<(), Failure> {
-    let stop = stop_signal(log.clone())?;
+    let mut stop = pin!(stop_signal(log.clone())?);
+    let (listener, app) = tokio::select! {
+        started = start(&args, spans, log) => started?,
+        () = &mut stop => return Ok(()),
+    };
+    http::serve(listener, app, stop, args.grace.0).await?;
+    tracing::info!("stopped");
+    Ok(())
+}
+
+/// The service, ready to be served.
+async fn start(args: &Args, spans: Spans, log: &Log) -> Result<(TcpListener, App), Failure> {
     let listener = TcpListener::bind(&args.listen).await.map_err(|error| {
         let what = format!("cannot listen on {}: {error}; choose another address with --listen", args.listen);
         Failure::of(&["listen"])(Failure::new(what))
     })?;
     let address = listener.local_addr()?;
-    let limits = fitting(limits(&args));
-    let gate = gate(&args).await?;
-    check_open(address, &gate, &args)?;
+    let limits = fitting(limits(args));
+    let gate = gate(args).await?;
+    check_open(address, &gate, args)?;
     let pair = args.tls_cert.as_ref().zip(args.tls_key.as_ref());
     let tls = pair.map(|(cert, key)| Tls::open(cert, key)).transpose()?;
     let (is_plain, is_open) = (tls.is_none(), !gate.is_closed());
     let memory = NonZeroU64::new(limits.job_memory).unwrap_or(JOB_MEMORY);
     let runner = Arc::new(Isolated::new(limits.mesh, memory, args.max_crashes));
-    let jobs = JobService::open(Settings { spans, ..settings(&args)? }, runner).await?;
-    let trail = trail(&args)?;
-    let webhooks = webhook_settings(&args);
+    let jobs = JobService::open(Settings { spans, ..settings(args)? }, runner).await?;
+    let trail = trail(args)?;
+    let webhooks = webhook_settings(args);
     webhooks::start(webhooks.clone(), &jobs).await?;
     let app = App::new(jobs, limits, Some(gate), Some(trail), tls, Some(webhooks), log.lost())?;
     announce(address, is_plain)?;
     warn(address, is_plain, is_open);
     tracing::info!(%address, "ready");
-    http::serve(listener, app, stop, args.grace.0).await?;
-    tracing::info!("stopped");
-    Ok(())
+    Ok((listener, app))
 }
 
 /// The service's bounds.

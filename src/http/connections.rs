@@ -52,11 +52,11 @@ pub(super) async fn serve(mut listener: TcpListener, house: House, closing: Canc
             (socket, address) = Listener::accept(&mut listener), if crowd.has_room() => {
                 // There is room: only this loop takes places.
                 let Some(place) = crowd.take() else { continue };
-                let seated = (&http, &router, head);
-                let (http, router, head) = if place.is_seat() { seated } else { (&once, &standing, ASKING) };
-                let (http, router, peer) = (http.clone(), router.clone(), Peer(address.ip()));
-                let (tls, closing) = (tls.clone(), closing.clone());
+                let (seated, past) = ((http.clone(), router.clone(), head), (once.clone(), standing.clone(), ASKING));
+                let (tls, closing, peer) = (tls.clone(), closing.clone(), Peer(address.ip()));
                 open.spawn(async move {
+                    let place = place.seated_soon().await;
+                    let (http, router, head) = if place.is_seat() { seated } else { past };
                     let conversation = begin(http, tls, socket, head, peer, router, closing);
                     if place.is_seat() {
                         conversation.await;
@@ -89,7 +89,12 @@ async fn begin(
     match tls {
         None => converse(http, unless_stuck(socket, head), peer, router, closing).await,
         Some(tls) => {
-            if let Some(stream) = greet(&tls, socket, head).await {
+            let greeted = tokio::select! {
+                greeted = greet(&tls, socket, head) => greeted,
+                // Nothing was asked yet.
+                () = closing.cancelled() => None,
+            };
+            if let Some(stream) = greeted {
                 converse(http, unless_stuck(stream, head), peer, router, closing).await;
             }
         }

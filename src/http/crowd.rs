@@ -16,7 +16,8 @@ use super::App;
 use super::access::is_of_api;
 use super::problem::{Problem, TOO_MANY_CONNECTIONS};
 
-/// The most connections past the limit that are open at once: this, and a quarter of the limit.
+/// Connections past the limit that are open at once: a quarter of the limit, within these.
+const FEWEST: usize = 4;
 const STANDING: usize = 64;
 /// How long one of them may be open, and how long it may take to say what it wants: who says nothing keeps a probe waiting.
 pub(super) const HEARING: Duration = Duration::from_secs(5);
@@ -37,9 +38,24 @@ pub(super) struct Crowd {
 pub(super) struct Place {
     _permit: OwnedSemaphorePermit,
     is_seat: bool,
+    crowd: Crowd,
 }
 
 impl Place {
+    /// A seat where one comes free at once: a client that asks on one connection after the other comes back before its last one
+    /// has ended here.
+    pub(super) async fn seated_soon(self) -> Self {
+        /// Longer than a connection takes to end.
+        const SOON: Duration = Duration::from_millis(100);
+        if self.is_seat {
+            return self;
+        }
+        match tokio::time::timeout(SOON, self.crowd.seats.clone().acquire_owned()).await {
+            Ok(Ok(permit)) => Self { _permit: permit, is_seat: true, ..self },
+            _ => self,
+        }
+    }
+
     /// Whether it is within the limit.
     pub(super) fn is_seat(&self) -> bool {
         self.is_seat
@@ -49,7 +65,7 @@ impl Place {
 impl Crowd {
     pub(super) fn new(most: usize) -> Self {
         let most = most.clamp(1, Semaphore::MAX_PERMITS);
-        let standing = (most / 4).clamp(1, STANDING);
+        let standing = (most / 4).clamp(FEWEST, STANDING);
         let of = |places| Arc::new(Semaphore::new(places));
         Self { most, seats: of(most), standing: of(standing), most_standing: standing }
     }
@@ -61,10 +77,10 @@ impl Crowd {
 
     /// A place for one more, where there is [room](Self::has_room).
     pub(super) fn take(&self) -> Option<Place> {
-        let seat =
-            self.seats.clone().try_acquire_owned().map(|permit| Place { _permit: permit, is_seat: true });
-        let stand = || self.standing.clone().try_acquire_owned();
-        seat.or_else(|_| stand().map(|permit| Place { _permit: permit, is_seat: false })).ok()
+        let seat = self.seats.clone().try_acquire_owned().map(|permit| (permit, true));
+        let stand = |_| self.standing.clone().try_acquire_owned().map(|permit| (permit, false));
+        let (permit, is_seat) = seat.or_else(stand).ok()?;
+        Some(Place { _permit: permit, is_seat, crowd: self.clone() })
     }
 
     /// Connections within the limit that are open now.
@@ -99,13 +115,13 @@ mod tests {
 
     #[test]
     fn some_stand_where_all_are_seated_and_then_there_is_no_room() {
-        let crowd = Crowd::new(8);
-        let mut seated: Vec<Place> = (0..8).map(|_| crowd.take().unwrap()).collect();
+        let crowd = Crowd::new(16);
+        let mut seated: Vec<Place> = (0..16).map(|_| crowd.take().unwrap()).collect();
         assert!(seated.iter().all(Place::is_seat) && crowd.has_room());
-        let standing = [crowd.take().unwrap(), crowd.take().unwrap()];
+        let standing = [(); 4].map(|()| crowd.take().unwrap());
         assert!(standing.iter().all(|place| !place.is_seat()));
         assert!(!crowd.has_room() && crowd.take().is_none());
-        assert_eq!((crowd.seated(), crowd.standing()), (8, 2));
+        assert_eq!((crowd.seated(), crowd.standing()), (16, 4));
         // A seat is free though nobody may stand.
         seated.pop();
         assert!(crowd.has_room());
@@ -115,7 +131,18 @@ mod tests {
         assert!(crowd.has_room() && !crowd.take().unwrap().is_seat());
         seated.pop();
         assert!(crowd.take().unwrap().is_seat());
-        assert_eq!(crowd.seated(), 7);
+        assert_eq!(crowd.seated(), 15);
+    }
+
+    #[tokio::test]
+    async fn who_stands_gets_the_seat_that_comes_free_at_once() {
+        let crowd = Crowd::new(1);
+        let (seated, standing) = (crowd.take().unwrap(), crowd.take().unwrap());
+        assert!(!standing.is_seat());
+        let (place, ()) = tokio::join!(standing.seated_soon(), async { drop(seated) });
+        assert!(place.is_seat());
+        assert_eq!((crowd.seated(), crowd.standing()), (1, 0));
+        assert!(!crowd.take().unwrap().seated_soon().await.is_seat(), "none comes free");
     }
 
     #[test]

@@ -66,7 +66,7 @@ impl Inspection {
                 let out = (!fits).then(|| out_of_scale(mesh.vertices.len()));
                 (fits, repaired(&prepared.report).into_iter().chain(out).collect())
             }
-            Err(error) => (false, vec![fatal(error)]),
+            Err(error) => (false, vec![fatal(error, mesh.vertices.len())]),
         };
         let Prepared { components, report } = prepared.unwrap_or_default();
         Self {
@@ -146,8 +146,9 @@ fn out_of_scale(vertices: usize) -> Defect {
 }
 
 /// What a job would fail with.
-fn fatal(error: &PreparationError) -> Defect {
+fn fatal(error: &PreparationError, vertices: usize) -> Defect {
     let (code, count, of, sites, detail) = match error {
+        PreparationError::OutOfScale { .. } => return out_of_scale(vertices),
         PreparationError::NoTriangles => ("no-triangles", 0, "triangle", None, "there are no triangles"),
         PreparationError::AllDegenerate { triangles } => {
             ("all-degenerate", *triangles, "triangle", None, "no triangle has an area")

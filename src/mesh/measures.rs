@@ -10,8 +10,13 @@ const RUN: usize = 1 << 14;
 
 /// Diagonal of the bounding box of the vertices in use.
 pub fn diagonal(mesh: &TriangleMesh) -> f64 {
+    if mesh.triangles.is_empty() {
+        return 0.0;
+    }
     let [low, high] = bounds(mesh);
-    if mesh.triangles.is_empty() { 0.0 } else { (high - low).norm() }
+    let (span, most) = (high - low, (high - low).amax());
+    // The square of what is very long overflows.
+    if span.norm().is_finite() { span.norm() } else { ((span / most).norm() * most).max(most) }
 }
 
 /// Least and greatest coordinates of the vertices in use.

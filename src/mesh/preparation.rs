@@ -22,8 +22,11 @@ pub use super::sites::Sites;
 /// A mesh whose triangles have no more has no area, in squared diagonals.
 pub(super) const NO_AREA: f64 = 1e-14;
 
+/// Longest diagonal: squares of areas are compared in double precision.
+const HUGE: f64 = 1e75;
+
 /// Why a triangle soup is not a surface.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PreparationError {
     #[error("the mesh has no triangles")]
     NoTriangles,
@@ -35,6 +38,8 @@ pub enum PreparationError {
     NotFinite(Sites),
     #[error("{0} triangles name a vertex that is not there")]
     OutOfRange(Sites),
+    #[error("the surface's diagonal is {diagonal:e}: squares of areas would overflow")]
+    OutOfScale { diagonal: f64 },
 }
 
 /// One connected, closed, oriented, manifold surface.
@@ -169,9 +174,12 @@ fn with_area(
     let triangles = kept.iter().map(|&t| given[t as usize]).collect();
     let soup = TriangleMesh { vertices: mesh.vertices.clone(), triangles };
     report.diagonal = diagonal(&soup);
-    if soup.triangles.iter().all(|t| area(&soup, t) <= NO_AREA * report.diagonal * report.diagonal) {
+    let diagonal = report.diagonal;
+    let is_huge = diagonal > HUGE;
+    if is_huge || soup.triangles.iter().all(|t| area(&soup, t) <= NO_AREA * diagonal * diagonal) {
         let (far, triangles) = (outlying(mesh), mesh.triangles.len());
         return Err(match far.count {
+            0 if is_huge => PreparationError::OutOfScale { diagonal },
             0 => PreparationError::AllDegenerate { triangles },
             _ => PreparationError::FarOut(far),
         });

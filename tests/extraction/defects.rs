@@ -176,3 +176,15 @@ fn a_stray_vertex_far_away_makes_no_endless_line() {
     assert!(count < 20_000, "{count} points");
     assert!(!found.warnings.is_empty(), "it is told of");
 }
+
+/// Squares of areas would overflow.
+#[test]
+fn a_surface_of_any_size_is_refused_by_its_size() {
+    for size in [1e31, 1e78, 1e100, 1e150, 1e300] {
+        for ends in [Ends::Flat, Ends::Open] {
+            let mesh = sweep(straight(20.0), round(1.0), [60, 24], ends);
+            let error = extracted(&mapped(&mesh, |point| point * size), Preset::Default).unwrap_err();
+            assert!(matches!(error, ExtractError::OutOfScale { .. }), "{size:e}: {error}");
+        }
+    }
+}

@@ -171,7 +171,7 @@ fn a_branch_that_was_cut_close_to_its_vessel_meets_it_where_their_axes_do() {
             assert!(joint.position.coords.norm() < 0.3, "{} of {case}", joint.position);
             let end = |node: &&Node| (node.position.coords - leg).norm() < 0.2 * radius;
             let end = found.centerline.nodes.iter().find(end).unwrap_or_else(|| panic!("no end of {case}"));
-            assert!((end.radius / radius - 1.0).abs() < 0.05, "{} of {case}", end.radius);
+            assert!((end.radius / radius - 1.0).abs() < 0.08, "{} of {case}", end.radius);
         }
     }
 }

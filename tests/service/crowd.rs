@@ -74,12 +74,25 @@ async fn past_those_the_next_wait_until_one_has_gone() {
     assert_eq!(open(&service).await, 1);
     let others = idle(&service, 3);
     until_open(&service, 4).await;
-    // A quarter of the limit, which has a second to ask.
+    // As many as may stand, which have a second to ask.
     let begin = Instant::now();
-    let standing = idle(&service, 1);
+    let standing = idle(&service, 4);
     assert_eq!(ask(&service, "/healthz").await.unwrap().status(), 200);
     assert!(begin.elapsed() > Duration::from_millis(900), "it waited for the one that stood");
     drop((others, standing));
+}
+
+/// The next connection is there before the last has ended here.
+#[tokio::test]
+async fn who_has_one_connection_after_the_other_is_not_too_many() {
+    let service = Service::start(&["--max-connections", "1"]);
+    let url = format!("{}/v1/jobs?dry_run=true", service.url);
+    for _ in 0..20 {
+        let client = Client::builder().tls_certs_only([]).pool_max_idle_per_host(0).build().unwrap();
+        let answer =
+            client.post(&url).header("connection", "close").body(meshes::small()).send().await.unwrap();
+        assert_eq!(answer.status(), 200, "{}", service.log());
+    }
 }
 
 #[tokio::test]

@@ -119,7 +119,12 @@ async fn a_second_signal_ends_at_once_and_loses_nothing() {
 #[cfg(unix)]
 #[tokio::test]
 async fn a_hangup_is_an_orderly_stop_too() {
-    let mut service = Service::start(&["--workers", "1", "--grace", "120s"]);
+    let data = std::sync::Arc::new(tempfile::tempdir().unwrap());
+    // Also where these tests run under nohup.
+    let mut command = std::process::Command::new("env");
+    command.args(["--default-signal=HUP", env!("CARGO_BIN_EXE_rosaline"), "serve"]);
+    command.args(["--workers", "1", "--grace", "120s"]);
+    let mut service = Service::try_start(crate::service::set_up(&mut command, data.path()), data).unwrap();
     let job = service.backlog(1, &meshes::large()).await.remove(0);
     service.running().await;
     for _ in 0..2 {

@@ -10,7 +10,7 @@ use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
 
 use super::geodesic::RISE;
 use super::stumps::EDGES;
-use super::{Pruning, ShortTip};
+use super::{Leaf, Pruning, ShortTip};
 
 /// Least height in sample distances: what fewer samples show is no shape yet.
 pub const SAMPLES: f64 = 3.0;
@@ -190,7 +190,7 @@ impl Pruning<'_> {
         // Of what few edges show nobody asks.
         let beside = if edges < EDGES { None } else { self.radius_beside(arcs, base, stays) };
         let (vertex, sample) = (self.graph.nodes[leaf as usize].vertex, self.sample(first, leaf));
-        Some(ShortTip { vertex, base: ring.centroid, radius, height, beside, sample })
+        Some(ShortTip { leaf: Leaf { vertex, base: ring.centroid, radius, beside }, height, sample })
     }
 
     /// The node, at or within `near` below `base`, where two fronts met, and the two arcs below it; `leaf` is not looked

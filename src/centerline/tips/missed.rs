@@ -5,7 +5,7 @@
 //! branch. But it stands over its vessel as no bump does: there the user is told to look.
 
 use super::reeb::ReebGraph;
-use super::{Branching, Choice, Pruning, ShortTip};
+use super::{Branching, Choice, Leaf, Pruning, ShortTip};
 use crate::centerline::Warning;
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::line_tree::LineTree;
@@ -38,7 +38,9 @@ impl Pruning<'_> {
         const WIDTHS: std::ops::Range<f64> = 0.25..1.0;
         /// Least height over the vessel against that of an end.
         const HIGH: f64 = 1.3;
-        let &ShortTip { radius, height, beside: Some(beside), .. } = tip else { return None };
+        let &ShortTip { leaf: Leaf { radius, beside: Some(beside), .. }, height, .. } = tip else {
+            return None;
+        };
         let (first, _) = self.base_of(arcs)?;
         let is_seen = self.graph.arcs[first as usize].base_edges >= EDGES && height >= RISE * radius;
         if !is_seen || !WIDTHS.contains(&(radius / beside)) {

@@ -122,16 +122,22 @@ impl Branching {
     }
 }
 
-/// A leaf that rises no more than a few radii.
+/// Where a leaf of the Reeb graph stands. Lengths in the input's unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ShortTip {
-    /// Vertex of the leaf's tip.
+pub struct Leaf {
+    /// Vertex of its tip.
     pub vertex: u32,
-    /// Centre and radius of the level set at its base; this and the other lengths in the input's unit.
+    /// Centre and radius of the level set at its base.
     pub base: Point3<f64>,
     pub radius: f64,
     /// Radius of the vessel that passes its base; `None` where nothing shows it or too few edges the base.
     pub beside: Option<f64>,
+}
+
+/// A leaf that rises no more than a few radii.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ShortTip {
+    pub leaf: Leaf,
     /// Its rise over its base, that of a flat cap's middle left out.
     pub height: f64,
     /// Distance between samples at its base and at its tip, whichever is longer.

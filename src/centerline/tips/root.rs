@@ -10,7 +10,7 @@ use crate::mesh::preparation::Surface;
 
 use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
 use crate::centerline::tips::reeb::ReebGraph;
-use crate::centerline::tips::{Branching, Chain, ShortTip};
+use crate::centerline::tips::{Branching, Chain, Leaf};
 
 /// Where to take distances from.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,7 +19,7 @@ pub struct Root {
     /// Marks the vertices of the cap around it.
     pub cap: Vec<bool>,
     /// What it was taken for, where that is not known for sure.
-    pub end: Option<End>,
+    pub end: Option<Cap>,
 }
 
 /// Which ends may be the root.
@@ -32,17 +32,24 @@ pub enum Among {
     LongEnds,
 }
 
-/// An end of a chain, seen from the tip inward.
+/// Where a vessel ends, seen from the tip inward.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct End {
+pub struct Cap {
     pub vertex: u32,
+    /// Radius of the vessel, in the input's unit.
     pub radius: f64,
     /// Unit direction out of the lumen.
     pub outward: Vector3<f64>,
+}
+
+/// An end of a chain.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct End {
+    cap: Cap,
     /// Shorter than it is wide: a sac, a stump, or an end that a front has passed aslant.
-    pub short: bool,
+    short: bool,
     /// Whether it is short, or the level sets behind it widen as they do into a joint: then they may tell too much.
-    pub near_joint: bool,
+    near_joint: bool,
 }
 
 /// The ends that distances may be taken from, the best first: wide and long ones before short ones, of
@@ -52,30 +59,32 @@ pub fn roots(surface: &Surface, graph: &ReebGraph, branching: &Branching, among:
     const WIDE: f64 = 0.6;
     /// A long end is better than a short one up to so many times as wide: that may be a sac.
     const LONG: f64 = 2.0;
-    /// Least rise of a leaf that was removed, in radii of its base.
+    /// Least rise of a leaf that was removed, in radii of its base: from less no cap is told.
     const HIGH: f64 = 0.4;
     /// Each costs a geodesic and a Reeb graph.
     const MOST: usize = 3;
     let mut ends = chain_ends(surface, graph, &branching.chains);
-    let high = branching.doubtful.iter().filter(|tip| tip.height > HIGH * tip.radius);
-    ends.extend(high.filter_map(|tip| short_end(surface, tip)));
+    let high = branching.doubtful.iter().filter(|tip| tip.height > HIGH * tip.leaf.radius);
+    let caps = high.filter_map(|tip| cap_at(surface, &tip.leaf));
+    ends.extend(caps.map(|cap| End { cap, short: true, near_joint: true }));
     if among == Among::LongEnds && ends.iter().any(|end| !end.short) {
         ends.retain(|end| !end.short);
     }
-    let widest = ends.iter().map(|end| end.radius).fold(0.0, f64::max);
-    let worth = |end: &End| if end.short { end.radius } else { LONG * end.radius };
+    let widest = ends.iter().map(|end| end.cap.radius).fold(0.0, f64::max);
+    let worth = |end: &End| if end.short { end.cap.radius } else { LONG * end.cap.radius };
     ends.sort_by(|a, b| worth(b).total_cmp(&worth(a)));
-    let first = ends.first().map(|end| end.vertex);
-    let candidates = ends.iter().filter(|end| Some(end.vertex) == first || end.radius >= WIDE * widest);
+    let first = ends.first().map(|end| end.cap.vertex);
+    let candidates =
+        ends.iter().filter(|end| Some(end.cap.vertex) == first || end.cap.radius >= WIDE * widest);
     // Past a wide and long end only short ones that are wider still may have hidden something.
-    let sure = ends.first().is_some_and(|end| !end.short && end.radius >= 0.95 * widest);
+    let sure = ends.first().is_some_and(|end| !end.short && end.cap.radius >= 0.95 * widest);
     let most = if sure { 1 } else { MOST };
     candidates.take(most).map(|end| Root::at(surface, end)).collect()
 }
 
 /// Vertex and radius of the ends of chains.
 pub fn ends_of(surface: &Surface, graph: &ReebGraph, chains: &[Chain]) -> Vec<(u32, f64)> {
-    chain_ends(surface, graph, chains).iter().map(|end| (end.vertex, end.radius)).collect()
+    chain_ends(surface, graph, chains).iter().map(|end| (end.cap.vertex, end.cap.radius)).collect()
 }
 
 impl Root {
@@ -88,13 +97,14 @@ impl Root {
 
     /// The root at an end, which is to be looked at again where it may lie near a joint.
     fn at(surface: &Surface, end: &End) -> Self {
-        Self { end: end.near_joint.then_some(*end), ..Self::of(surface, end.vertex, &cap_of(surface, end)) }
+        let End { cap, near_joint, .. } = end;
+        Self { end: near_joint.then_some(*cap), ..Self::of(surface, cap.vertex, &cap_of(surface, cap)) }
     }
 
     /// The end nearest to a vertex; `None` where there is none.
     pub fn nearest(surface: &Surface, graph: &ReebGraph, branching: &Branching, vertex: u32) -> Option<Self> {
         let away = |end: &End| {
-            (surface.mesh.vertices[end.vertex as usize] - surface.mesh.vertices[vertex as usize]).norm()
+            (surface.mesh.vertices[end.cap.vertex as usize] - surface.mesh.vertices[vertex as usize]).norm()
         };
         let ends = chain_ends(surface, graph, &branching.chains);
         let nearest = ends.iter().min_by(|a, b| away(a).total_cmp(&away(b)))?;
@@ -114,12 +124,11 @@ fn chain_ends(surface: &Surface, graph: &ReebGraph, chains: &[Chain]) -> Vec<End
     free.filter_map(|(chain, _, at_start)| end_of(surface, graph, chain, at_start)).collect()
 }
 
-/// A short leaf, at its vertex, as an end.
-pub fn short_end(surface: &Surface, tip: &ShortTip) -> Option<End> {
-    let vertex = tip.vertex;
-    let outward = (surface.mesh.vertices[vertex as usize] - tip.base).try_normalize(0.0)?;
-    let outward = along_vessel(surface, vertex, tip.radius, outward);
-    Some(End { vertex, radius: tip.radius, outward, short: true, near_joint: true })
+/// The cap at a leaf's vertex.
+pub fn cap_at(surface: &Surface, leaf: &Leaf) -> Option<Cap> {
+    let &Leaf { vertex, base, radius, .. } = leaf;
+    let outward = (surface.mesh.vertices[vertex as usize] - base).try_normalize(0.0)?;
+    Some(Cap { vertex, radius, outward: along_vessel(surface, vertex, radius, outward) })
 }
 
 /// `outward` turned along the vessel that the wall around the end is of: the direction that its normals leave free
@@ -204,18 +213,18 @@ fn end_of(surface: &Surface, graph: &ReebGraph, chain: &Chain, at_start: bool) -
     let first = rings.iter().find(|ring| away(ring) > CLOSE);
     let widening = |ring: &LevelSet| first.map_or(1.0, |first| ring.radius() / first.radius());
     let near_joint = short || rings.iter().any(|ring| widening(ring) > WIDENED.start);
-    if let Some(first) = first.filter(|_| !short && WIDENED.contains(&widening(ring))) {
-        let outward = (tip - first.centroid).try_normalize(0.0)?;
-        let outward = along_vessel(surface, vertex, first.radius(), outward);
-        return Some(End { vertex, radius: first.radius(), outward, short, near_joint });
-    }
-    let outward = inward.or_else(|| (tip - ring.centroid).try_normalize(0.0))?;
+    let narrow = first.filter(|_| !short && WIDENED.contains(&widening(ring)));
+    let straight = |ring: &LevelSet| (tip - ring.centroid).try_normalize(0.0);
     // On a cap that a front came to aslant all rings but the last are small ones around its far side.
     let widest = || rings.iter().map(LevelSet::radius).fold(0.0, f64::max);
-    let radius = if short { widest() } else { ring.radius() };
+    let (radius, outward) = match narrow {
+        Some(first) => (first.radius(), straight(first)?),
+        None => (if short { widest() } else { ring.radius() }, inward.or_else(|| straight(ring))?),
+    };
     // Rings of a long one are square to the vessel where they are looked at.
-    let outward = if short { along_vessel(surface, vertex, radius, outward) } else { outward };
-    Some(End { vertex, radius, outward, short, near_joint })
+    let is_square = !short && narrow.is_none();
+    let outward = if is_square { outward } else { along_vessel(surface, vertex, radius, outward) };
+    Some(End { cap: Cap { vertex, radius, outward }, short, near_joint })
 }
 
 /// Level sets from a chain's tip inward, up to and with the first that is `enough`.
@@ -261,21 +270,21 @@ fn rings_inward(
 /// triangles that face outward beside it, connected to its vertex.
 ///
 /// A front that starts there leaves it as one ring square to the vessel, however rough the cap is.
-pub fn cap_of(surface: &Surface, end: &End) -> FxHashSet<u32> {
+pub fn cap_of(surface: &Surface, cap: &Cap) -> FxHashSet<u32> {
     /// Cosine of the widest angle between a cap's normal and the vessel's direction.
     const FACING: f64 = 0.7;
     /// Depth of the end, and how far from the tip it may reach, in radii.
     const DEPTH: f64 = 0.5;
     const NEAR: f64 = 2.5;
-    let tip = surface.mesh.vertices[end.vertex as usize];
+    let tip = surface.mesh.vertices[cap.vertex as usize];
     let belongs = |t: u32| {
         let [a, b, c] = surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize]);
         let normal = (b - a).cross(&(c - a));
-        let near = (a - tip).norm() < NEAR * end.radius;
-        let high = [a, b, c].iter().all(|p| (tip - p).dot(&end.outward) < DEPTH * end.radius);
-        near && (high || normal.dot(&end.outward) > FACING * normal.norm())
+        let near = (a - tip).norm() < NEAR * cap.radius;
+        let high = [a, b, c].iter().all(|p| (tip - p).dot(&cap.outward) < DEPTH * cap.radius);
+        near && (high || normal.dot(&cap.outward) > FACING * normal.norm())
     };
-    let triangles = connected(surface, end.vertex, belongs).into_iter();
+    let triangles = connected(surface, cap.vertex, belongs).into_iter();
     let corners = triangles.flat_map(|t| surface.mesh.triangles[t as usize]);
-    corners.chain([end.vertex]).collect()
+    corners.chain([cap.vertex]).collect()
 }

@@ -6,9 +6,9 @@
 
 use crate::mesh::preparation::Surface;
 
-use super::ShortTip;
+use super::Leaf;
 use super::geodesic::EdgeGraph;
-use super::root::{End, Root};
+use super::root::{Cap, Root};
 use super::tip_view::{TipView, best_tip_view};
 use crate::centerline::{CancelToken, ExtractError};
 
@@ -28,14 +28,15 @@ pub fn straightened(
     /// Radii that a tube is long at least: a shorter one shows no direction.
     const LONG: f64 = 0.8;
     let Some(end) = root.end else { return Ok(root) };
-    let is_wrong = |view: &TipView| view.slenderness() < LONG || WIDER * view.stump.radius < end.radius;
+    let is_long = |view: &TipView| view.slenderness() >= LONG;
+    let is_narrower = |view: &TipView| WIDER * view.stump.radius < end.radius;
     let seen = TipView::from(surface, edges, &end, (end.vertex, end.radius), cancel)?;
-    if seen.is_some_and(|seen| !is_wrong(&seen)) {
+    if seen.is_some_and(|seen| is_long(&seen) && !is_narrower(&seen)) {
         return Ok(root);
     }
     let mut best: Option<TipView> = None;
     for radius in [end.radius, 0.5 * end.radius] {
-        let Some(view) = best_tip_view(surface, edges, &tip_of(surface, &end, radius), cancel)? else {
+        let Some(view) = best_tip_view(surface, edges, &leaf_of(surface, &end, radius), cancel)? else {
             continue;
         };
         let is_better = best.as_ref().is_none_or(|best| view.slenderness() > best.slenderness());
@@ -43,15 +44,15 @@ pub fn straightened(
             best = Some(view);
         }
     }
-    let is_narrower = |view: &TipView| view.slenderness() >= LONG && WIDER * view.stump.radius < end.radius;
-    let Some(TipView { stump, .. }) = best.filter(is_narrower) else { return Ok(root) };
+    let best = best.filter(|best| is_long(best) && is_narrower(best));
+    let Some(TipView { stump, .. }) = best else { return Ok(root) };
     // An opening's centre is raised: it stays the end.
     let centre = surface.openings.iter().map(|opening| opening.centre).find(|v| stump.cap.contains(v));
     Ok(Root::of(surface, centre.unwrap_or(stump.vertex), &stump.cap))
 }
 
-/// An end as a tip of a vessel of such a radius.
-fn tip_of(surface: &Surface, end: &End, radius: f64) -> ShortTip {
+/// An end as the leaf of a vessel of such a radius.
+fn leaf_of(surface: &Surface, end: &Cap, radius: f64) -> Leaf {
     let base = surface.mesh.vertices[end.vertex as usize] - end.outward * radius;
-    ShortTip { vertex: end.vertex, base, radius, beside: Some(radius), height: radius, sample: 0.0 }
+    Leaf { vertex: end.vertex, base, radius, beside: Some(radius) }
 }

@@ -57,20 +57,20 @@ pub fn stumps(
     let mut taken: FxHashSet<u32> = FxHashSet::default();
     for (tip, stays) in kept.chain(went) {
         cancel.check()?;
-        if taken.contains(&tip.vertex) {
+        if taken.contains(&tip.leaf.vertex) {
             continue;
         }
-        let opening = surface.opening_at(tip.vertex);
+        let opening = surface.opening_at(tip.leaf.vertex);
         // A vessel was cut at an opening, however shortly; one that went is a hole.
         let is_cut = stays && opening.is_some_and(|opening| !opening.was_closed);
         let view = match opening {
             Some(opening) => TipView::of_opening(surface, edges, opening, cancel)?,
-            None => best_tip_view(surface, edges, tip, cancel)?,
+            None => best_tip_view(surface, edges, &tip.leaf, cancel)?,
         };
         let Some(view) = view else { continue };
-        let own = stays.then_some(tip.vertex);
+        let own = stays.then_some(tip.leaf.vertex);
         let is_branch = || {
-            let is_tube = tip.beside.is_some_and(|beside| view.is_tube(beside));
+            let is_tube = tip.leaf.beside.is_some_and(|beside| view.is_tube(beside));
             is_tube && view.height() >= view.least_height(tip, tip_height)
         };
         if !view.has_end_but(own, &ends)
@@ -122,7 +122,7 @@ impl TipView {
     /// How far it must, to be a branch.
     fn least_height(&self, tip: &ShortTip, tip_height: f64) -> f64 {
         let Stump { radius, .. } = self.stump;
-        let narrower = tip.beside.map_or(radius, |beside| radius.min(beside));
+        let narrower = tip.leaf.beside.map_or(radius, |beside| radius.min(beside));
         (tip_height * narrower).max(SAMPLES * tip.sample)
     }
 

@@ -10,10 +10,10 @@ use rustc_hash::FxHashSet;
 
 use crate::mesh::preparation::{Opening, Surface};
 
-use super::ShortTip;
+use super::Leaf;
 use super::front_lengths::{FrontLengths, Tube};
 use super::geodesic::{EdgeGraph, Near, geodesic_near};
-use super::root::{End, cap_of, free_direction, normals_covariance, short_end, toward, wall_around};
+use super::root::{Cap, cap_at, cap_of, free_direction, normals_covariance, toward, wall_around};
 use super::stumps::Stump;
 use crate::centerline::{CancelToken, ExtractError};
 
@@ -32,20 +32,20 @@ pub struct TipView {
 pub fn best_tip_view(
     surface: &Surface,
     edges: &EdgeGraph,
-    tip: &ShortTip,
+    leaf: &Leaf,
     cancel: &CancelToken,
 ) -> Result<Option<TipView>, ExtractError> {
     /// How often at most the end is put straight.
     const STRAIGHTENED: usize = 4;
-    let Some(beside) = tip.beside.filter(|beside| tip.radius >= 0.5 * WIDTHS.start * beside) else {
+    let Some(beside) = leaf.beside.filter(|beside| leaf.radius >= 0.5 * WIDTHS.start * beside) else {
         return Ok(None);
     };
     let view = |(vertex, radius, outward)| {
-        let end = End { vertex, radius, outward, short: true, near_joint: true };
-        TipView::from(surface, edges, &end, (tip.vertex, beside), cancel)
+        let cap = Cap { vertex, radius, outward };
+        TipView::from(surface, edges, &cap, (leaf.vertex, beside), cancel)
     };
-    let first = first_directions(surface, tip).into_iter();
-    let Some(mut best) = most_slender(first.map(|outward| view((tip.vertex, tip.radius, outward))))? else {
+    let first = first_directions(surface, leaf).into_iter();
+    let Some(mut best) = most_slender(first.map(|outward| view((leaf.vertex, leaf.radius, outward))))? else {
         return Ok(None);
     };
     for _ in 0..STRAIGHTENED {
@@ -62,18 +62,18 @@ pub fn best_tip_view(
 
 /// Where a leaf may point, told by it alone: away from its base, along the vessel around it, along its normal, between
 /// the first and the last, and along the axes of the normals around it: at the edge of a flat cap one of them is the cap's.
-fn first_directions(surface: &Surface, tip: &ShortTip) -> Vec<Vector3<f64>> {
+fn first_directions(surface: &Surface, leaf: &Leaf) -> Vec<Vector3<f64>> {
     /// Cosine of the angle within which one is enough.
     const ALIKE: f64 = 0.98;
-    let away = (surface.mesh.vertices[tip.vertex as usize] - tip.base).try_normalize(0.0);
+    let away = (surface.mesh.vertices[leaf.vertex as usize] - leaf.base).try_normalize(0.0);
     let normal: Vector3<f64> =
-        surface.corners.star(tip.vertex).map(|h| surface.mesh.area_vector(h / 3)).sum();
+        surface.corners.star(leaf.vertex).map(|h| surface.mesh.area_vector(h / 3)).sum();
     let normal = normal.try_normalize(0.0);
     let between = away.zip(normal).and_then(|(away, normal)| (away + normal).try_normalize(0.0));
-    let along = short_end(surface, tip).map(|end| end.outward);
+    let along = cap_at(surface, leaf).map(|cap| cap.outward);
     let mut directions: Vec<Vector3<f64>> = Vec::new();
     let told = [away, along, normal, between].into_iter().flatten();
-    for direction in told.chain(normals_axes(surface, tip)) {
+    for direction in told.chain(normals_axes(surface, leaf)) {
         if directions.iter().all(|other| other.dot(&direction) < ALIKE) {
             directions.push(direction);
         }
@@ -82,10 +82,10 @@ fn first_directions(surface: &Surface, tip: &ShortTip) -> Vec<Vector3<f64>> {
 }
 
 /// The principal axes of the normals around a leaf, turned to where most of these point.
-fn normals_axes(surface: &Surface, tip: &ShortTip) -> [Vector3<f64>; 3] {
+fn normals_axes(surface: &Surface, leaf: &Leaf) -> [Vector3<f64>; 3] {
     /// How far the wall is looked at, in radii.
     const NEAR: f64 = 1.5;
-    let around = wall_around(surface, tip.vertex, NEAR * tip.radius);
+    let around = wall_around(surface, leaf.vertex, NEAR * leaf.radius);
     let mean: Vector3<f64> = around.iter().map(|&t| surface.mesh.area_vector(t)).sum();
     let axes = normals_covariance(surface, around.into_iter()).symmetric_eigen().eigenvectors;
     [0, 1, 2].map(|i| toward(axes.column(i).into(), &mean))
@@ -109,15 +109,14 @@ impl TipView {
     ) -> Result<Option<Self>, ExtractError> {
         let (vertex, radius) = (opening.centre, opening.area_radius(&surface.mesh));
         let Some(outward) = opening.area_vector(&surface.mesh).try_normalize(0.0) else { return Ok(None) };
-        let end = End { vertex, radius, outward, short: true, near_joint: true };
-        Self::from(surface, edges, &end, (vertex, radius), cancel)
+        Self::from(surface, edges, &Cap { vertex, radius, outward }, (vertex, radius), cancel)
     }
 
     /// `None` where the front shows no tube, or one that is no stump's beside a vessel of such a radius.
     pub fn from(
         surface: &Surface,
         edges: &EdgeGraph,
-        end: &End,
+        end: &Cap,
         (leaf, beside): (u32, f64),
         cancel: &CancelToken,
     ) -> Result<Option<Self>, ExtractError> {
