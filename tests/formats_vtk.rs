@@ -175,6 +175,29 @@ fn both_layouts_of_legacy_files_read_the_same() {
 }
 
 #[test]
+fn texts_in_field_data_are_passed_over() {
+    let plain = vtk(LEGACY.as_bytes()).unwrap();
+    let texts = LEGACY.replace("FieldData 2\n", "FieldData 3\nC 1 3 string\na%20name\n\nPOINTS 7\n");
+    assert_eq!(vtk(texts.as_bytes()).unwrap(), plain);
+    assert_eq!(vtk(texts.replace('\n', "\r\n").as_bytes()).unwrap(), plain);
+
+    // Lengths of one byte, of two and of four.
+    let mut file =
+        b"# vtk DataFile Version 5.1\nName\nBINARY\nDATASET POLYDATA\nFIELD FieldData 1\nC 1 3 string\n"
+            .to_vec();
+    file.extend(*b"\xc1x\x81\x2c");
+    file.extend([b'\n'; 300]);
+    file.extend(*b"\x40\x00\x00\x02ab\nPOINTS 3 float\n");
+    file.extend([0.0_f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].into_iter().flat_map(f32::to_be_bytes));
+    file.extend(*b"\nPOLYGONS 2 3\nOFFSETS vtktypeint64\n");
+    file.extend([0_i64, 3].into_iter().flat_map(i64::to_be_bytes));
+    file.extend(*b"\nCONNECTIVITY vtktypeint64\n");
+    file.extend([0_i64, 1, 2].into_iter().flat_map(i64::to_be_bytes));
+    assert_eq!(vtk(&file).unwrap().triangles, [[0, 1, 2]]);
+    assert_eq!(vtk(&file[..200]).unwrap_err().code(), "truncated");
+}
+
+#[test]
 fn broken_legacy_files_are_typed_errors() {
     for (good, from, to, code) in [
         (LEGACY, "3 0 2 3", "3 0 2 4", "index-out-of-range"),
@@ -188,7 +211,8 @@ fn broken_legacy_files_are_typed_errors() {
         (LEGACY, "POINTS 4", "POINTS 10000000", "truncated"),
         (LEGACY, "POINTS 4", "POINTS 3", "malformed"),
         (LEGACY, "POINTS 4 float", "POINTS 4 quaternion", "malformed"),
-        (LEGACY, "A 1 2 double", "A 1 2 string", "unsupported-feature"),
+        (LEGACY, "A 1 2 double", "A 1 2 variant", "unsupported-feature"),
+        (LEGACY, "A 1 2 double", "A 1 4294967296 string", "truncated"),
         (LEGACY, "A 1 2 double", "A 4294967296 4294967296 double", "truncated"),
         (LEGACY, "1 1 0 0 1 0", "1 1 0 0 inf 0", "non-finite-coordinate"),
         (LEGACY, "ASCII", "EBCDIC", "malformed"),

@@ -110,8 +110,9 @@ impl Legacy<'_> {
             b"unsigned_long" | b"vtktypeuint64" => Scalar::U64,
             b"float" => Scalar::F32,
             b"double" => Scalar::F64,
-            b"bit" | b"string" | b"utf8_string" | b"variant" => {
-                let (feature, advice) = ("field data that are no numbers", "save it without its field data");
+            b"bit" | b"variant" => {
+                let (feature, advice) =
+                    ("field data that are neither numbers nor texts", "save it without its field data");
                 return Err(ReadError::UnsupportedFeature { format: FORMAT, feature, advice });
             }
             _ => return Err(self.data.tokens.malformed("there is an unknown data type before this")),
@@ -227,10 +228,14 @@ impl Legacy<'_> {
         for _ in 0..self.count()? {
             self.data.tokens.next()?;
             let (components, tuples) = (self.count()?, self.count()?);
-            let scalar = self.scalar()?;
-            let numbers = components.saturating_mul(tuples);
-            self.data.check_count(FORMAT, numbers, self.data.most(scalar))?;
-            self.data.skip(scalar, numbers)?;
+            let count = components.saturating_mul(tuples);
+            if self.data.tokens.take_if("string")? || self.data.tokens.take_if("utf8_string")? {
+                self.skip_texts(count)?;
+            } else {
+                let scalar = self.scalar()?;
+                self.data.check_count(FORMAT, count, self.data.most(scalar))?;
+                self.data.skip(scalar, count)?;
+            }
             let mut ahead = self.data.tokens.clone();
             if ahead.peek().is_some_and(|token| token.eq_ignore_ascii_case(b"METADATA")) {
                 self.data.tokens = ahead;
@@ -238,6 +243,32 @@ impl Legacy<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Texts: a line each, or, in binary files, each behind its length of one, two, four or eight bytes, as the two highest
+    /// bits say (`vtkDataWriter`).
+    fn skip_texts(&mut self, count: usize) -> Result<(), ReadError> {
+        self.data.tokens.skip_line();
+        self.data.tokens.skip_line_break();
+        for _ in 0..count {
+            // Of a file that has ended there is nothing more to take.
+            self.data.tokens.clone().take(1)?;
+            if self.data.is_binary() {
+                let length = self.text_length()?;
+                self.data.tokens.take(length)?;
+            } else {
+                self.data.tokens.skip_line();
+                self.data.tokens.skip_line_break();
+            }
+        }
+        Ok(())
+    }
+
+    fn text_length(&mut self) -> Result<usize, ReadError> {
+        let first = self.data.tokens.take(1)?[0];
+        let more = self.data.tokens.take([7, 3, 1, 0][usize::from(first >> 6)])?;
+        let length = more.iter().fold(u64::from(first & 0x3f), |length, &byte| length << 8 | u64::from(byte));
+        Ok(usize::try_from(length).unwrap_or(usize::MAX))
     }
 
     /// Text up to an empty line.
