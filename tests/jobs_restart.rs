@@ -112,7 +112,7 @@ async fn sigkill_at_any_moment_loses_no_accepted_job() {
     assert!(accepted.len() >= 236 && given_up == 0);
     // Only files of jobs are left: an input each, and three results of the successful ones.
     let mut all = 0;
-    let mut query = ListQuery { owner: None, status: None, before: None, limit: 100 };
+    let mut query = ListQuery { limit: 100, ..ListQuery::default() };
     loop {
         let page = service.list(query.clone()).await.unwrap();
         for job in &page.jobs {
@@ -164,8 +164,7 @@ async fn a_job_that_takes_the_process_down_is_given_up_and_its_neighbours_are_no
     assert!((3..=5).contains(&deaths), "{deaths}");
     let script = Script::new();
     let service = JobService::open(settings(&data, 2), script.clone()).await.unwrap();
-    let jobs =
-        service.list(ListQuery { owner: None, status: None, before: None, limit: 10 }).await.unwrap().jobs;
+    let jobs = service.list(ListQuery { limit: 10, ..ListQuery::default() }).await.unwrap().jobs;
     assert!((2..=5).contains(&jobs.len()), "the first child may die before it has submitted all");
     for job in &jobs {
         ended(&service, job.id).await;
@@ -174,7 +173,7 @@ async fn a_job_that_takes_the_process_down_is_given_up_and_its_neighbours_are_no
     let counts = service.counts().await.unwrap();
     assert_eq!((counts.failed, counts.successful), (1, jobs.len() as u64 - 1));
     let failed = service
-        .list(ListQuery { owner: None, status: Some(JobStatus::Failed), before: None, limit: 10 })
+        .list(ListQuery { status: Some(JobStatus::Failed), limit: 10, ..ListQuery::default() })
         .await
         .unwrap();
     let error = failed.jobs[0].error.clone().unwrap();

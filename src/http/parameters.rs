@@ -11,7 +11,7 @@ use serde_json::error::Category;
 
 use super::limits::Limits;
 use super::problem::{INVALID_PARAMETER, MALFORMED_REQUEST, Problem, UNKNOWN_PARAMETER};
-use crate::centerline::{POINTS, ParameterError, ParameterKind, Parameters, Preset, TABLE, shown};
+use crate::centerline::{POINTS, ParameterKind, Parameters, Preset, TABLE, shown};
 use crate::jobs::{FileName, Priority};
 use crate::mesh::Units;
 
@@ -60,12 +60,7 @@ impl Asked {
         let mut parameters = Parameters::of(preset);
         let rows = pairs.iter().filter(|(name, _)| !OTHERS.contains(&name.as_str()));
         for (name, text) in rows {
-            parameters.set(name, text).map_err(|error| match error {
-                ParameterError::Unknown { .. } => unknown(name),
-                ParameterError::UnknownPreset { .. }
-                | ParameterError::TooManyPoints { .. }
-                | ParameterError::Value { .. } => invalid(name, error.to_string()),
-            })?;
+            parameters.set(name, text).map_err(|error| invalid(name, error.to_string()))?;
         }
         let name = value(NAME).map(|name| source_name(name, limits)).transpose()?.flatten();
         let client_reference = value(CLIENT_REFERENCE).map(|text| reference(text, limits)).transpose()?;
@@ -199,7 +194,8 @@ pub fn source_name(name: &str, limits: &Limits) -> Result<Option<FileName>, Prob
     FileName::of(name, limits.name_chars).map_err(|error| invalid(NAME, error.to_string()))
 }
 
-fn reference(text: &str, limits: &Limits) -> Result<String, Problem> {
+/// A client's own word for a job.
+pub(super) fn reference(text: &str, limits: &Limits) -> Result<String, Problem> {
     if text.is_empty() || text.chars().count() > limits.reference_chars || text.chars().any(char::is_control)
     {
         let most = limits.reference_chars;

@@ -49,6 +49,22 @@ async fn pages_follow_each_other_newest_first() {
 }
 
 #[tokio::test]
+async fn a_client_finds_its_jobs_by_its_own_word() {
+    let service = Service::start(&[]);
+    let mut jobs = Vec::new();
+    for word in ["case%207%26%C3%BC", "case%208", "case%207%26%C3%BC", "case%207%26%C3%BC"] {
+        let job = service.accepted(&format!("?client_reference={word}"), meshes::small()).await;
+        jobs.push(job.replace("/v1/jobs/", ""));
+    }
+    jobs.reverse();
+    jobs.remove(2);
+    let pages = ids(&service, "/v1/jobs?client_reference=case+7%26%C3%BC&limit=2").await;
+    assert_eq!(pages, [jobs[..2].to_vec(), jobs[2..].to_vec()]);
+    assert_eq!(ids(&service, "/v1/jobs?client_reference=case").await.concat(), [""; 0]);
+    assert!(!service.log().contains("case"), "{}", service.log());
+}
+
+#[tokio::test]
 async fn a_wrong_question_is_refused() {
     let service = Service::start(&[]);
     for (query, word, parameter) in [

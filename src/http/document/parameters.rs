@@ -58,6 +58,12 @@ parameters! {
             json!("2f6f1b0e-6f0c-4b57-9a53-0d6f1b7a8c21"),
         ),
         header(
+            "Content-Digest",
+            "The SHA-256 of a raw body (RFC 9530), which is held against it; other algorithms are not looked at",
+            text(),
+            json!("sha-256=:47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU=:"),
+        ),
+        header(
             "X-Request-ID",
             "Comes back in the job's status, where it has 1 to 128 visible ASCII characters",
             text(),
@@ -150,13 +156,7 @@ pub fn job_parameters() -> Vec<(String, Object)> {
         ),
         (
             CLIENT_REFERENCE.to_owned(),
-            ObjectBuilder::new()
-                .schema_type(Type::String)
-                .min_length(Some(1))
-                .max_length(Some(Limits::default().reference_chars))
-                .pattern(Some(NO_CONTROL))
-                .description(Some("The client's own word for the job; comes back in its status"))
-                .build(),
+            reference("The client's own word for the job; comes back in its status, and the list may be asked for it"),
         ),
     ];
     let priorities = words(Priority::ALL.iter().map(|priority| priority.name()), Priority::default().name());
@@ -244,9 +244,21 @@ fn list() -> Vec<Parameter> {
     let cursor = uuid().description(Some("Where the page begins: follow `Link` rather than make one"));
     vec![
         query("status", statuses.build()),
+        query(CLIENT_REFERENCE, reference("Only jobs that were submitted with this word")),
         query("limit", limit("Jobs on a page")),
         query("cursor", cursor.build()),
     ]
+}
+
+/// A client's own word for a job.
+fn reference(description: &str) -> Object {
+    ObjectBuilder::new()
+        .schema_type(Type::String)
+        .min_length(Some(1))
+        .max_length(Some(Limits::default().reference_chars))
+        .pattern(Some(NO_CONTROL))
+        .description(Some(description))
+        .build()
 }
 
 fn limit(description: &str) -> Object {

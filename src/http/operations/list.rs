@@ -4,12 +4,13 @@ use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::{HeaderValue, header};
 use axum::response::{IntoResponse, Response};
+use percent_encoding::{NON_ALPHANUMERIC, utf8_percent_encode};
 
 use super::super::App;
 use super::super::access::Caller;
 use super::super::document::{self, ListProblems};
 use super::super::limits::Limits;
-use super::super::parameters::query_pairs;
+use super::super::parameters::{CLIENT_REFERENCE, query_pairs, reference};
 use super::super::problem::{INVALID_PARAMETER, Problem, UNKNOWN_PARAMETER};
 use super::super::representation::{Link, ListDocument, StatusDocument};
 use crate::jobs::JobId;
@@ -58,6 +59,7 @@ fn read(pairs: &[(String, String)], limits: &Limits) -> Result<ListQuery, Proble
                 query.status =
                     Some(status.map_err(|error: crate::jobs::UnknownStatus| invalid(error.to_string()))?);
             }
+            CLIENT_REFERENCE => query.client_reference = Some(reference(value, limits)?),
             "limit" => {
                 let limit = value.parse().ok().filter(|limit| (1..=limits.page_most).contains(limit));
                 let expected = || invalid(format!("limit is a number from 1 to {}", limits.page_most));
@@ -69,7 +71,7 @@ fn read(pairs: &[(String, String)], limits: &Limits) -> Result<ListQuery, Proble
                 query.before = Some(cursor.map_err(expected)?);
             }
             _ => {
-                let detail = "there is no such parameter; the known ones are status, limit and cursor";
+                let detail = "there is no such parameter; the known ones are status, client_reference, limit and cursor";
                 let shown: String = name.chars().take(40).collect();
                 return Err(Problem::new(&UNKNOWN_PARAMETER, detail).with("parameter", shown));
             }
@@ -80,7 +82,11 @@ fn read(pairs: &[(String, String)], limits: &Limits) -> Result<ListQuery, Proble
 
 fn next_path(query: &ListQuery, cursor: JobId) -> String {
     let status = query.status.map(|status| format!("status={status}&")).unwrap_or_default();
-    format!("/v1/jobs?{status}limit={}&cursor={cursor}", query.limit)
+    let word = query.client_reference.iter();
+    let word: String = word
+        .map(|word| format!("{CLIENT_REFERENCE}={}&", utf8_percent_encode(word, NON_ALPHANUMERIC)))
+        .collect();
+    format!("/v1/jobs?{status}{word}limit={}&cursor={cursor}", query.limit)
 }
 
 #[cfg(test)]
@@ -105,6 +111,12 @@ mod tests {
             format!("/v1/jobs?status=failed&limit=3&cursor={ID}")
         );
         assert_eq!(query(&[]).unwrap().limit, Limits::default().page_default);
+        let read = query(&[("client_reference", "case 7&ü"), ("limit", "3")]).unwrap();
+        assert_eq!(read.client_reference.as_deref(), Some("case 7&ü"));
+        assert_eq!(
+            next_path(&read, ID.parse().unwrap()),
+            format!("/v1/jobs?client_reference=case%207%26%C3%BC&limit=3&cursor={ID}")
+        );
     }
 
     #[test]
@@ -115,6 +127,7 @@ mod tests {
             ("limit", "501"),
             ("limit", "x"),
             ("cursor", "x"),
+            ("client_reference", ""),
             ("page", "2"),
         ] {
             assert_eq!(query(&[pair]), Err(400), "{pair:?}");

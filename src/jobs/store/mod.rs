@@ -2,6 +2,7 @@
 
 mod connection;
 mod deliveries;
+mod listing;
 mod retention;
 mod row;
 mod sql;
@@ -50,6 +51,8 @@ pub struct ListQuery {
     /// Only jobs of this owner.
     pub owner: Option<String>,
     pub status: Option<JobStatus>,
+    /// Only jobs that their client gave this word.
+    pub client_reference: Option<String>,
     /// Only jobs older than this one: the `next` of the page before.
     pub before: Option<JobId>,
     /// At least 1.

@@ -11,8 +11,8 @@ use sqlx::query::Query;
 use sqlx::{Any, AnyPool, AssertSqlSafe, Row, Transaction};
 
 use super::connection::{is_repeated, sqlite_pool};
-use super::row::{bigint, id, job, json, page};
-use super::{JobStore, ListQuery, Page, Recovered, StoreError, StoreFuture, turns};
+use super::row::{bigint, id, job, json};
+use super::{JobStore, ListQuery, Page, Recovered, StoreError, StoreFuture, listing, turns};
 use crate::jobs::{Counts, Job, JobFailure, JobId, JobStatus, Lease, StoredArtifact};
 
 const READERS: u32 = 4;
@@ -150,28 +150,7 @@ impl JobStore for SqlStore {
     }
 
     fn list(&self, query: ListQuery) -> StoreFuture<'_, Page> {
-        async move {
-            // The text of every id sorts below "~".
-            let before = query.before.map_or_else(|| "~".to_owned(), |id| id.to_string());
-            let sql = match query.status {
-                None => {
-                    "SELECT * FROM jobs WHERE id < $1 AND ($3 IS NULL OR owner = $3) ORDER BY id DESC LIMIT $2"
-                }
-                Some(_) => {
-                    "SELECT * FROM jobs WHERE id < $1 AND ($3 IS NULL OR owner = $3) AND status = $4 \
-                     ORDER BY id DESC LIMIT $2"
-                }
-            };
-            let limit = query.limit.max(1);
-            let mut statement = sqlx::query(sql).bind(before).bind(i64::from(limit) + 1).bind(query.owner);
-            if let Some(status) = query.status {
-                statement = statement.bind(status.name());
-            }
-            let rows = statement.fetch_all(&self.readers).await?;
-            let limit = usize::try_from(limit).unwrap_or(usize::MAX);
-            Ok(page(&rows[..limit.min(rows.len())], rows.len() > limit))
-        }
-        .boxed()
+        listing::list(query, &self.readers).boxed()
     }
 
     fn claim<'a>(&'a self, lease: &'a Lease, now: i64) -> StoreFuture<'a, Option<Job>> {
