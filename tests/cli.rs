@@ -103,7 +103,7 @@ fn a_phantom_is_extracted_and_measured_against_its_line() {
 fn the_extension_chooses_the_format_and_threads_change_no_byte() {
     let folder = bifurcation();
     let folder = folder.path();
-    for name in ["a.json", "a.glb", "a.GLTF"] {
+    for name in ["a.json", "a.glb", "a.GLTF", "a.vtp"] {
         done(folder, &["extract", "vessel.stl", "-o", name, "--threads", "1"]);
         let single = fs::read(folder.join(name)).unwrap();
         done(folder, &["extract", "vessel.stl", "-o", name, "--threads", "3"]);
@@ -113,6 +113,9 @@ fn the_extension_chooses_the_format_and_threads_change_no_byte() {
     let gltf: Value = serde_json::from_slice(&fs::read(folder.join("a.GLTF")).unwrap()).unwrap();
     assert_eq!(gltf["asset"]["version"], "2.0");
     assert_eq!(gltf["meshes"][0]["primitives"].as_array().unwrap().len(), 3);
+    let same: Value =
+        serde_json::from_slice(&done(folder, &["compare", "a.json", "a.vtp", "--json"]).stdout).unwrap();
+    assert_eq!((&same["o_max"]["absolute"], &same["tips"]["result"]), (&0.0.into(), &3.into()), "{same}");
 }
 
 #[test]
@@ -209,8 +212,8 @@ fn a_failure_is_one_line_and_leaves_no_file() {
         ),
         (vec!["vessel.json", "-o", "out.json"], "vessel.json is a centerline, the result of an extraction"),
         (vec!["half.stl", "-o", "kept.json"], "ends early"),
-        (vec!["vessel.stl", "-o", "out.vtp"], ".json, .glb or .gltf"),
-        (vec!["vessel.stl", "-o", "out"], ".json, .glb or .gltf"),
+        (vec!["vessel.stl", "-o", "out.obj"], ".json, .glb, .gltf or .vtp"),
+        (vec!["vessel.stl", "-o", "out"], ".json, .glb, .gltf or .vtp"),
         (vec!["vessel.stl", "-o", "no/such/out.json"], "its folder does not exist"),
         (vec!["vessel.stl", "-o", "out.json", "--mu", "3"], "0.05 to 0.95"),
         (vec!["vessel.stl", "-o", "out.json", "--omega", "nan"], "0.34 to 0.999"),

@@ -214,7 +214,7 @@ impl Fixture {
         let artifact = self.service.result(job.id, OutputFormat::Json).await.unwrap();
         let path = self.dir.path().join("blobs").join(artifact.key);
         assert_eq!(std::fs::read(path).unwrap(), result_of(script, OutputFormat::Json));
-        assert_eq!(files(&self.dir.path().join("blobs")).len(), 4);
+        assert_eq!(files(&self.dir.path().join("blobs")).len(), 1 + OutputFormat::ALL.len());
     }
 }
 
@@ -245,7 +245,7 @@ async fn a_stop_in_doubt_keeps_the_results_of_a_committed_success() {
     fixture.service.shutdown(Duration::ZERO).await;
     let Fixture { dir, service, script, .. } = fixture;
     drop(service);
-    assert_eq!(files(&dir.path().join("blobs")).len(), 4);
+    assert_eq!(files(&dir.path().join("blobs")).len(), 1 + OutputFormat::ALL.len());
     let service = JobService::open(settings(dir.path(), 1), script.clone()).await.unwrap();
     assert_eq!(service.status(job.id).await.unwrap().status, JobStatus::Successful);
     assert_eq!(files(&dir.path().join("blobs")).len(), 4, "nothing is an orphan");
@@ -279,7 +279,7 @@ async fn an_unreadable_newest_row_stops_neither_the_start_nor_the_list_and_can_b
     sqlx::query(spoil).execute(&mut store).await.unwrap();
 
     let service = JobService::open(settings(dir.path(), 1), script).await.unwrap();
-    let page = service.list(ListQuery { owner: None, status: None, before: None, limit: 10 }).await.unwrap();
+    let page = service.list(ListQuery { limit: 10, ..ListQuery::default() }).await.unwrap();
     assert_eq!(page.jobs.iter().map(|job| job.id).collect::<Vec<_>>(), jobs[..1]);
     assert!(submit(&service, "ok").await.id > jobs[1], "ids go on from it");
     assert_eq!(service.remove(jobs[1]).await.unwrap(), Removed::Purged);

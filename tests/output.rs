@@ -11,6 +11,7 @@ use rosaline::centerline::{
     SurfaceSummary,
 };
 use rosaline::mesh::Units;
+use rosaline::mesh::format::{Limits, read_polylines};
 use rosaline::output::{
     NodeRecord, OutputError, OutputFormat, ResultDocument, Source, read_json, write, write_glb,
 };
@@ -169,6 +170,24 @@ fn equal_documents_give_equal_bytes() {
         let first = write(&document([1.0, 2.0, 3.0], 1.0), format).unwrap();
         let second = write(&document([1.0, 2.0, 3.0], 1.0), format).unwrap();
         assert_eq!(first, second, "{format:?}");
+    }
+}
+
+#[test]
+fn vtp_has_every_branch_to_the_last_digit() {
+    for (name, document) in documents() {
+        let bytes = write(&document, OutputFormat::Vtp).unwrap();
+        let found = read_polylines(&bytes, &Limits::default()).unwrap();
+        assert_eq!(found.lines.len(), document.branches.len(), "{name}");
+        for (line, branch) in found.lines.iter().zip(&document.branches) {
+            let points: Vec<[f64; 3]> = line.iter().map(|&point| found.points[point].coords.into()).collect();
+            let radii: Vec<f64> = line.iter().map(|&point| found.radii[point]).collect();
+            assert_eq!((&points, &radii), (&branch.points, &branch.radii), "{name} branch {}", branch.id);
+        }
+        let text = String::from_utf8(bytes).unwrap();
+        for (array, values) in [("FromNode", "0 1 1"), ("ToNode", "1 2 3"), ("offsets", "201 203 205")] {
+            assert!(text.contains(&format!("Name=\"{array}\" format=\"ascii\">{values}<")), "{array}");
+        }
     }
 }
 

@@ -23,7 +23,7 @@ use super::{Failure, files};
 pub struct Args {
     /// The surface: STL, OBJ, PLY, glTF, GLB, VTP, VTK or OFF.
     mesh: PathBuf,
-    /// Where the centerline goes; .json, .glb or .gltf says in which format.
+    /// Where the centerline goes; .json, .glb, .gltf or .vtp says in which format.
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Name that the result has as its source, without its folders [default: none, as a file's name may tell of a patient].
@@ -107,7 +107,7 @@ fn name(text: &str) -> Result<String, BadName> {
 fn output_format(path: &Path) -> Result<OutputFormat, Failure> {
     let extension = path.extension().and_then(|extension| extension.to_str());
     extension.and_then(OutputFormat::from_extension).ok_or_else(|| {
-        Failure::new(format!("{} is not a name that ends in .json, .glb or .gltf", path.display()))
+        Failure::new(format!("{} is not a name that ends in .json, .glb, .gltf or .vtp", path.display()))
     })
 }
 

@@ -25,7 +25,7 @@ pub use problems::{
 };
 pub use responses::{
     AnyResult, Created, Dead, Deleted, Document, Events, GlbResult, GltfResult, Healthy, JsonResult,
-    LimitsAnswer, List, Metrics, Resent, Retried, Status,
+    LimitsAnswer, List, Metrics, Resent, Retried, Status, VtpResult,
 };
 
 /// The security scheme of API keys and tokens.

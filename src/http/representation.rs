@@ -113,7 +113,8 @@ impl From<&Job> for StatusDocument {
         let path = job_path(job);
         let mut links = vec![Link::new("self", path.clone())];
         if job.status == JobStatus::Successful {
-            links.extend(OutputFormat::ALL.iter().map(|format| Link {
+            let is_there = |format: &&OutputFormat| job.artifacts.iter().any(|made| made.format == **format);
+            links.extend(OutputFormat::ALL.iter().filter(is_there).map(|format| Link {
                 rel: "results",
                 href: format!("{path}/results/centerline.{}", format.extension()),
                 kind: format.media_type(),
@@ -146,6 +147,32 @@ pub(super) fn rfc3339(millis: i64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::jobs::{Coding, JobError, JobId, JobSpec, StoredArtifact, StoredInput};
+
+    #[test]
+    fn a_job_of_an_older_version_links_to_the_forms_that_it_has() {
+        let input = StoredInput { key: "k".to_owned(), size: 84, sha256: "ab".repeat(32) };
+        let id = "019aa8b6-7a42-7d52-8d53-2f8ad3a2b9c1".parse::<JobId>().unwrap();
+        let mut job =
+            Job { status: JobStatus::Successful, ..Job::accepted(id, input, JobSpec::default(), 0) };
+        let artifact = |format, coding| StoredArtifact {
+            format,
+            coding,
+            key: "k".to_owned(),
+            size: 7,
+            sha256: "cd".repeat(32),
+        };
+        job.artifacts = vec![
+            artifact(OutputFormat::Glb, Coding::Identity),
+            artifact(OutputFormat::Json, Coding::Identity),
+            artifact(OutputFormat::Json, Coding::Gzip),
+        ];
+        let links = StatusDocument::from(&job).links;
+        let hrefs: Vec<&str> = links.iter().filter_map(|link| link.href.rsplit('/').next()).collect();
+        assert_eq!(hrefs[1..], ["centerline.json", "centerline.glb"]);
+        let problem = Problem::from(JobError::NoSuchResult { id, format: OutputFormat::Vtp });
+        assert_eq!(problem.status(), 404);
+    }
 
     #[test]
     fn times_are_rfc_3339_with_milliseconds() {

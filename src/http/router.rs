@@ -27,6 +27,7 @@ pub fn routes() -> OpenApiRouter<App> {
         .routes(routes!(result::json))
         .routes(routes!(result::gltf))
         .routes(routes!(result::glb))
+        .routes(routes!(result::vtp))
         .routes(routes!(limits::limits))
         .routes(routes!(metrics::metrics))
         .routes(routes!(webhooks::dead))

@@ -137,7 +137,7 @@ struct Packed {
     bytes: Bytes,
 }
 
-/// Every form as it is, and the texts compressed where that makes them smaller.
+/// Every form as it is, and what viewers fetch as text compressed where that makes it smaller.
 ///
 /// Without these once `cancel` is set.
 async fn packed(artifacts: Vec<Artifact>, cancel: CancelToken) -> Vec<Packed> {
@@ -160,7 +160,8 @@ async fn packed(artifacts: Vec<Artifact>, cancel: CancelToken) -> Vec<Packed> {
 }
 
 fn smaller((format, bytes): (OutputFormat, Bytes), cancel: &CancelToken) -> Vec<Packed> {
-    if bytes.len() < LEAST || format == OutputFormat::Glb {
+    // Tools beside a user read VTP, seldom: every job would pay for compressing it.
+    if bytes.len() < LEAST || matches!(format, OutputFormat::Glb | OutputFormat::Vtp) {
         return Vec::new();
     }
     let pack = |coding: Coding| {

@@ -30,7 +30,7 @@ pub struct ResultDocument {
     pub nodes: Vec<NodeRecord>,
     /// Curves between nodes; `id` is the place in this array.
     pub branches: Vec<BranchRecord>,
-    /// In every result of an extraction; the known centerline of a made surface has none.
+    /// In every result of an extraction. Only the known line that `rosaline phantom` writes has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(value_type = QualityRecord, required = true)]
     pub quality: Option<QualityRecord>,

@@ -1,7 +1,7 @@
 //! Writers of results, one file a format.
 //!
 //! [`ResultDocument`] is the result as the user sees it; [`write`] turns it into bytes, the
-//! same bytes for the same document. The glTF writers start from the document too, so a
+//! same bytes for the same document. The other writers start from the document too, so a
 //! stored JSON result is enough to serve every format.
 
 mod document;
@@ -10,6 +10,7 @@ mod json;
 mod parameters;
 mod quality;
 mod schemas;
+mod vtp;
 
 pub use document::{
     BranchRecord, KindRecord, MethodRecord, NodeRecord, ResultDocument, SCHEMA, Source, SourceRecord,
@@ -19,6 +20,7 @@ pub use gltf::{write_glb, write_gltf};
 pub use json::{is_result, read_json, write_json};
 pub use parameters::ParameterValue;
 pub use quality::{CenterednessRecord, HomotopyRecord, QualityRecord};
+pub use vtp::write_vtp;
 
 /// The formats a result is served in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -26,11 +28,13 @@ pub enum OutputFormat {
     Json,
     Glb,
     Gltf,
+    Vtp,
 }
 
 impl OutputFormat {
     /// Every format, the preferred one first.
-    pub const ALL: [OutputFormat; 3] = [OutputFormat::Json, OutputFormat::Glb, OutputFormat::Gltf];
+    pub const ALL: [OutputFormat; 4] =
+        [OutputFormat::Json, OutputFormat::Glb, OutputFormat::Gltf, OutputFormat::Vtp];
 
     /// The file name extension, without the dot.
     pub fn extension(self) -> &'static str {
@@ -38,15 +42,17 @@ impl OutputFormat {
             OutputFormat::Json => "json",
             OutputFormat::Glb => "glb",
             OutputFormat::Gltf => "gltf",
+            OutputFormat::Vtp => "vtp",
         }
     }
 
-    /// The IANA media type.
+    /// The media type: IANA's, where there is one.
     pub fn media_type(self) -> &'static str {
         match self {
             OutputFormat::Json => "application/json",
             OutputFormat::Glb => "model/gltf-binary",
             OutputFormat::Gltf => "model/gltf+json",
+            OutputFormat::Vtp => "model/vtk",
         }
     }
 
@@ -65,6 +71,7 @@ pub fn write(document: &ResultDocument, format: OutputFormat) -> Result<Vec<u8>,
         OutputFormat::Json => write_json(document),
         OutputFormat::Glb => write_glb(document),
         OutputFormat::Gltf => write_gltf(document),
+        OutputFormat::Vtp => write_vtp(document),
     }
 }
 

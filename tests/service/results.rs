@@ -40,8 +40,8 @@ async fn accept_chooses_and_an_extension_beats_it() {
     let response = service.get(&result).header("accept", "text/html").send().await.unwrap();
     assert_eq!(response.headers()["vary"], "accept");
     let body = problem(response, 406, "not-acceptable").await;
-    assert_eq!(body["available"].as_array().unwrap().len(), 3);
-    let response = service.get(&format!("{result}.vtp")).send().await.unwrap();
+    assert_eq!(body["available"].as_array().unwrap().len(), 4);
+    let response = service.get(&format!("{result}.obj")).send().await.unwrap();
     problem(response, 404, "not-found").await;
 }
 
@@ -49,7 +49,7 @@ async fn accept_chooses_and_an_extension_beats_it() {
 async fn a_result_is_cached_by_its_entity_tag() {
     let (service, result) = finished().await;
     let mut tags = Vec::new();
-    for extension in ["", ".json", ".gltf", ".glb"] {
+    for extension in ["", ".json", ".gltf", ".glb", ".vtp"] {
         let path = format!("{result}{extension}");
         let response = service.get(&path).send().await.unwrap();
         assert_eq!(response.headers()["cache-control"], "private, max-age=31536000, immutable");
@@ -64,7 +64,7 @@ async fn a_result_is_cached_by_its_entity_tag() {
         tags.push(tag);
     }
     assert_eq!(tags[0], tags[1], "JSON either way");
-    assert!(tags[1] != tags[2] && tags[2] != tags[3]);
+    assert!(tags[1] != tags[2] && tags[2] != tags[3] && tags[3] != tags[4]);
 }
 
 #[tokio::test]

@@ -25,6 +25,7 @@ pub fn successful() -> Value {
         "links": [
             {"rel": "self", "href": JOB, "type": "application/json"},
             result("json", "application/json"), result("glb", "model/gltf-binary"), result("gltf", "model/gltf+json"),
+            result("vtp", "model/vtk"),
         ],
     })
 }

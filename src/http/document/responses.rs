@@ -76,6 +76,11 @@ responses! {
         ("206", partial(&[OutputFormat::Glb])),
         ("304", not_modified()),
     ];
+    VtpResult => [
+        ("200", result("The whole centerline", &[OutputFormat::Vtp])),
+        ("206", partial(&[OutputFormat::Vtp])),
+        ("304", not_modified()),
+    ];
     Healthy => [("200", ResponseBuilder::new()
         .description("All is well")
         .content(JSON, content("Health", Some(examples::health()))))];
@@ -171,6 +176,9 @@ fn result(description: &str, formats: &[OutputFormat]) -> ResponseBuilder {
                 ObjectBuilder::new().schema_type(Type::Object).description(Some("glTF 2.0")),
             )),
             OutputFormat::Glb => Content::new(Some(binary())),
+            OutputFormat::Vtp => Content::new(Some(
+                ObjectBuilder::new().schema_type(Type::String).description(Some("VTK XML PolyData")),
+            )),
         };
         response = response.content(format.media_type(), content);
     }

@@ -102,6 +102,22 @@ pub async fn glb(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<Res
     answer(&app, id, OutputFormat::Glb, &asked).await
 }
 
+/// A job's centerline as VTK XML PolyData
+///
+/// For ParaView, 3D Slicer and those who work with VMTK: a polyline for each branch with `MaximumInscribedSphereRadius`, in
+/// the mesh's own frame. Results of versions before this form are not there in it.
+#[utoipa::path(
+    get,
+    path = "/v1/jobs/{id}/results/centerline.vtp",
+    operation_id = "getCenterlineVtp",
+    tag = document::RESULTS,
+    params(document::JobPath, document::ConditionHeaders),
+    responses(document::VtpResult, ResultProblems)
+)]
+pub async fn vtp(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<Response, Problem> {
+    answer(&app, id, OutputFormat::Vtp, &asked).await
+}
+
 async fn answer(app: &App, id: JobId, format: OutputFormat, asked: &Asked) -> Result<Response, Problem> {
     let codings = coding::accepted(&asked.headers);
     let artifact = app.jobs().result_in(id, format, &codings).await.map_err(|error| match error {
@@ -214,8 +230,8 @@ fn unsatisfiable(id: JobId, length: u64) -> Problem {
 
 /// The client rules out the result as it is (RFC 9110, section 12.5.3), and there is no other.
 fn not_in_coding(id: JobId, format: OutputFormat) -> Problem {
-    let compressed = "and only texts that get smaller by it are there by gzip and zstd as well";
-    let todo = "leave identity;q=0 and *;q=0 out of Accept-Encoding, or accept gzip or zstd for a text";
+    let compressed = "and only JSON and glTF that get smaller by it are there by gzip and zstd as well";
+    let todo = "leave identity;q=0 and *;q=0 out of Accept-Encoding, or accept gzip or zstd for JSON or glTF";
     let detail = format!("the {} is there as it is (identity), {compressed}; {todo}", format.extension());
     Problem::new(&NOT_ACCEPTABLE, detail).header(header::VARY, "accept-encoding").about(id)
 }

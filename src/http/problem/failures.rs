@@ -4,8 +4,8 @@ use axum::http::header;
 
 use super::super::idempotency;
 use super::{
-    INPUT_REMOVED, INTERNAL_ERROR, JOB_DISMISSED, JOB_EXPIRED, JOB_NOT_FOUND, JOB_PURGED, NOT_READY,
-    NOT_RETRYABLE, Problem, RESULT_NOT_READY, STORAGE_FULL, STORAGE_UNAVAILABLE,
+    INPUT_REMOVED, INTERNAL_ERROR, JOB_DISMISSED, JOB_EXPIRED, JOB_NOT_FOUND, JOB_PURGED, NO_SUCH_FORM,
+    NOT_READY, NOT_RETRYABLE, Problem, RESULT_NOT_READY, STORAGE_FULL, STORAGE_UNAVAILABLE,
 };
 use crate::jobs::JobError;
 use crate::jobs::blob::BlobError;
@@ -24,6 +24,12 @@ impl From<JobError> for Problem {
             JobError::NotReady { id, status } => {
                 let detail = format!("the job is {status}; ask again once its status is successful");
                 Problem::new(&RESULT_NOT_READY, detail).with("job_status", status.name()).about(id)
+            }
+            JobError::NoSuchResult { id, format } => {
+                let todo =
+                    "the links of its status have the forms that are there; post the mesh again for this one";
+                let detail = format!("an older version made the job, without {}; {todo}", format.extension());
+                Problem::new(&NO_SUCH_FORM, detail).about(id)
             }
             JobError::Dismissed { id } => {
                 Problem::new(&JOB_DISMISSED, "the job was cancelled; post the mesh again").about(id)

@@ -29,6 +29,7 @@ kinds! {
         "The key was used for another request";
     NOT_FOUND = NOT_FOUND, "not-found", "There is nothing at this path";
     JOB_NOT_FOUND = NOT_FOUND, "job-not-found", "There is no such job";
+    NO_SUCH_FORM = NOT_FOUND, "no-such-form", "The result is not there in this form";
     RESULT_NOT_READY = NOT_FOUND, "result-not-ready", "The job has no result yet";
     JOB_DISMISSED = NOT_FOUND, "job-dismissed", "The job was cancelled and has no result";
     JOB_EXPIRED = GONE, "job-expired", "The job was kept for its time and is gone";
