@@ -176,6 +176,23 @@ fn a_branch_that_was_cut_close_to_its_vessel_meets_it_where_their_axes_do() {
     }
 }
 
+/// A twentieth of the trunk's section and cut two of its own radii out of the wall: no hole of the trunk's.
+#[test]
+fn a_thin_branch_that_was_cut_close_to_a_wide_vessel_has_its_end() {
+    let (sin, cos) = f64::to_radians(70.0).sin_cos();
+    for (radius, out) in [(0.4, 0.8), (0.4, 1.2), (0.5, 1.0)] {
+        let leg = Vector3::new(cos, 0.0, sin) * (2.0 / sin + out);
+        let legs = [(Vector3::x() * -6.0, 2.0), (Vector3::x() * 7.0, 2.0), (leg, radius)];
+        for shift in [0.0, 0.07] {
+            let found = line_of(&open_fork(&legs, [0.2, shift]));
+            let case = format!("{radius} {out} {shift}: {:?}", found.warnings);
+            assert_eq!(ends_and_junctions(&found.centerline), (3, 1), "{case}");
+            let away = found.centerline.nodes.iter().map(|node| (node.position.coords - leg).norm());
+            assert!(away.fold(f64::INFINITY, f64::min) < 0.5 * radius, "{case}");
+        }
+    }
+}
+
 /// A dome little longer than it is wide: by how the voxels fall it shows a corner alone, too little for a line. Then it is
 /// told.
 #[test]

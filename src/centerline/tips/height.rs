@@ -76,7 +76,9 @@ impl Pruning<'_> {
         // Where the base is as wide as the vessel beside it, a front has climbed there while it passed.
         let climbed = radius >= beside || height >= least;
         let over = || self.over_vessel(arcs, base, leaf, radius);
-        self.reaches(arcs, leaf, least)
+        // Of a wider base a flat piece of wall reaches as far.
+        let is_narrow = radius <= beside || height >= least;
+        is_narrow && self.reaches(arcs, leaf, least)
             || climbed
                 && over().is_some_and(|(over, radius)| over >= (tip_height * radius).max(SAMPLES * sample))
     }
@@ -103,11 +105,11 @@ impl Pruning<'_> {
         self.opening_at(leaf).map_or(0.0, |opening| RISE * opening.radius)
     }
 
-    /// Length of a short edge at a node: not the shortest, which noise makes. At a flat cap the mean of its rim's: those
-    /// of a fan are as long as the cap is wide.
+    /// Length of a short edge at a node: not the shortest, which noise makes. In an opening the mean of its rim's: those
+    /// of a fan are as long as the opening is wide.
     fn edge_at(&self, node: u32) -> f64 {
-        if let Some(closed) = self.closed_at(node) {
-            return TAU * closed.radius / closed.rim.len() as f64;
+        if let Some(opening) = self.opening_at(node) {
+            return TAU * opening.radius / opening.rim.len() as f64;
         }
         let vertex = self.graph.nodes[node as usize].vertex;
         let (mesh, corners) = (&self.surface.mesh, &self.surface.corners);
