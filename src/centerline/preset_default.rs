@@ -94,7 +94,8 @@ fn connect(
     fit_joints(grid, &mut network, control)?;
     control.report(Stage::Connection, 0.0)?;
     let mut result = network.connect();
-    result.warnings.extend(unsupported::check(&network));
+    let bridged = unsupported::check(&network, grid, &result);
+    result.warnings.extend(bridged);
     result.warnings.extend(branching.warning());
     let missed = branching.missed_warning(surface, graph, &result);
     result.warnings.extend(missed);

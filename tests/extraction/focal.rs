@@ -114,3 +114,36 @@ fn a_throat_beside_a_fork_is_told_and_the_fork_stays() {
     assert!((least(1.0) / 0.8 - 1.0).abs() < 0.1, "{}", least(1.0));
     assert!((least(-1.0) / 1.6 - 1.0).abs() < 0.03, "{}", least(-1.0));
 }
+
+/// Told anew, the line of a narrow throat may come off the middle of its vessel. Then it stays as it was, and what it misses is told.
+#[test]
+fn a_line_that_misses_a_tight_throat_is_told() {
+    for (depth, width, by, step) in [(0.85, 1.25, 0.9, 0.17), (0.8, 1.5, 2.16, 0.2), (0.9, 1.25, 0.9, 0.2)] {
+        let field = |p: &Point3<f64>| {
+            let near = bump(p.z, 14.0, width);
+            ((p.x - by * near).hypot(p.y) - 3.0 * (1.0 - depth * near)).max(1.0 - p.z).max(p.z - 27.0)
+        };
+        let found = line_of(&implicit([-3.61, -3.613, 0.617], [3.7 + by, 3.7, 28.0], step, field));
+        let branch = &found.centerline.branches[0];
+        let middle = |p: &Point3<f64>| {
+            let near = bump(p.z, 14.0, width);
+            (p.x - by * near).hypot(p.y) / (3.0 * (1.0 - depth * near))
+        };
+        let off = branch.points.iter().map(middle).fold(0.0, f64::max);
+        let told = found.warnings.iter().any(|w| ["off-center", "outside", "radius"].contains(&w.code));
+        assert!(off < 0.5 || told, "{depth} {width} {by} {step}: {off} {:?}", found.warnings);
+    }
+}
+
+/// A vessel that is wide again past a throat, as it was nowhere before it.
+#[test]
+fn a_throat_of_half_the_radius_bridges_nothing() {
+    for (depth, width) in [(0.5, 1.5), (0.4, 1.0), (0.3, 1.5)] {
+        let field = |p: &Point3<f64>| {
+            (p.x.hypot(p.y) - 3.0 * (1.0 - depth * bump(p.z, 20.0, width))).max(-p.z).max(p.z - LENGTH)
+        };
+        let found = line_of(&implicit([-3.61, -3.613, -0.917], [3.7, 3.7, LENGTH + 1.0], 0.3, field));
+        let off = found.centerline.branches[0].points.iter().map(|p| p.x.hypot(p.y)).fold(0.0, f64::max);
+        assert!(off < 0.1 && found.warnings.is_empty(), "{depth} {width}: {off} {:?}", found.warnings);
+    }
+}

@@ -2,23 +2,44 @@
 
 use nalgebra::Point3;
 
+use crate::centerline::component::ComponentGraph;
 use crate::centerline::graph::Warning;
+use crate::centerline::line_tree::LineTree;
+use crate::centerline::own_sections::{OwnSection, own_sections};
 use crate::centerline::segmentation::track::Sight;
+use crate::centerline::triangle_grid::TriangleGrid;
 
 use super::network::Network;
 
 /// Longest stretch without a clean section, in radii of its wider end; into a joint also the joint's.
 const LONGEST: f64 = 5.0;
 
+/// Farthest that the finished line lies from the middle of a section that supports it, in its radii.
+const CENTRED: f64 = 0.1;
+/// Longest way from one of these sections to the next, in radii of the stretch's wider end.
+const SHOWN: f64 = 2.0;
+/// Farthest that a point of the finished line lies from a stretch that it is of, in the same.
+const BESIDE: f64 = 0.5;
+
 /// A stretch of a branch between two firm places.
 struct Stretch {
     length: f64,
     middle: Point3<f64>,
+    /// Its points from one firm place to the next.
+    points: Vec<Point3<f64>>,
+    /// Of its wider end.
+    radius: f64,
 }
 
-/// A warning of what was bridged. O(points of the line).
-pub fn check(network: &Network) -> Option<Warning> {
-    let stretches = stretches(network);
+/// A warning of what was bridged and where the finished line, `graph`, shows no sections either: past a throat, where none was
+/// like that before, it may run in the middle all the same. O(points of the line), and its own sections where there are stretches.
+pub fn check(network: &Network, grid: &TriangleGrid<'_>, graph: &ComponentGraph) -> Option<Warning> {
+    let mut stretches = stretches(network);
+    if stretches.is_empty() {
+        return None;
+    }
+    let own = own_sections(grid, &LineTree::new(graph), graph, 0..graph.branches.len());
+    stretches.retain(|stretch| !stretch.is_shown(&own, graph));
     let longest = stretches.iter().max_by(|a, b| a.length.total_cmp(&b.length))?;
     let at = longest.middle;
     Some(Warning {
@@ -48,12 +69,47 @@ fn stretches(network: &Network) -> Vec<Stretch> {
             let run = &places[pair[0]..=pair[1]];
             let length: f64 = run.windows(2).map(|two| (two[1].0 - two[0].0).norm()).sum();
             let (Some(first), Some(last)) = (run.first(), run.last()) else { continue };
-            if length > LONGEST * first.1.max(last.1) {
-                found.push(Stretch { length, middle: run[run.len() / 2].0 });
+            let radius = first.1.max(last.1);
+            if length > LONGEST * radius {
+                let points = run.iter().map(|place| place.0).collect();
+                found.push(Stretch { length, middle: run[run.len() / 2].0, points, radius });
             }
         }
     }
     found
+}
+
+impl Stretch {
+    /// Whether the finished line has sections of its own there, in whose middle it lies, without such a gap.
+    fn is_shown(&self, own: &[OwnSection], graph: &ComponentGraph) -> bool {
+        let mut ways: Vec<f64> = own
+            .iter()
+            .filter(|section| section.offset < CENTRED * section.radius)
+            .filter_map(|section| {
+                self.way_to(&graph.branches[section.branch].points[section.place], section.radius)
+            })
+            .collect();
+        ways.extend([0.0, self.length]);
+        ways.sort_unstable_by(f64::total_cmp);
+        ways.windows(2).all(|pair| pair[1] - pair[0] <= SHOWN * self.radius)
+    }
+
+    /// How far along it a point lies that is near it.
+    fn way_to(&self, point: &Point3<f64>, radius: f64) -> Option<f64> {
+        let mut way = 0.0;
+        let mut nearest: Option<(f64, f64)> = None;
+        for pair in self.points.windows(2) {
+            let step = pair[1] - pair[0];
+            let share =
+                ((point - pair[0]).dot(&step) / step.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+            let away = (point - (pair[0] + step * share)).norm();
+            if away < nearest.map_or(BESIDE * radius, |(least, _)| least) {
+                nearest = Some((away, way + share * step.norm()));
+            }
+            way += step.norm();
+        }
+        nearest.map(|(_, way)| way)
+    }
 }
 
 #[cfg(test)]
@@ -63,8 +119,10 @@ mod tests {
     use super::*;
     use crate::centerline::connection::network::NetworkNode;
     use crate::centerline::connection::subsampling::Anchor;
+    use crate::centerline::graph::{Branch, Node, NodeKind};
     use crate::centerline::laplacian_smoothing::continuation::Process;
     use crate::centerline::segmentation::track::{Station, Track};
+    use crate::centerline::test_surfaces::{capsule, closed_surface};
 
     /// A line along z of length 20, clean everywhere but between 5 and `until`.
     fn network(until: f64) -> Network {
@@ -96,10 +154,28 @@ mod tests {
     }
 
     #[test]
-    fn long_gaps_are_told() {
-        assert_eq!(check(&network(9.0)), None);
-        let warning = check(&network(12.0)).unwrap();
+    fn long_gaps_are_told_where_the_line_shows_no_sections_either() {
+        let check = |until: f64, radius: f64, aside: f64| {
+            let surface = closed_surface(&capsule(radius, 20.0, 32));
+            let points = (0..=40).map(|i| Point3::new(aside, 0.0, 0.5 * f64::from(i))).collect();
+            let line = Branch::new(0, 1, points, vec![1.0; 41]);
+            let node = |z: f64| Node {
+                kind: NodeKind::End,
+                position: Point3::new(aside, 0.0, z),
+                radius: 1.0,
+                equivalent_radius: 1.0,
+            };
+            let graph = ComponentGraph {
+                nodes: vec![node(0.0), node(20.0)],
+                branches: vec![line],
+                warnings: Vec::new(),
+            };
+            super::check(&network(until), &TriangleGrid::new(&surface), &graph)
+        };
+        assert_eq!(check(9.0, 1.0, 0.4), None);
+        let warning = check(12.0, 1.0, 0.4).unwrap();
         assert_eq!(warning.code, "bridged");
         assert!(warning.detail.starts_with("1 stretches"), "{}", warning.detail);
+        assert_eq!(check(12.0, 1.0, 0.1), None, "it lies in the middle of the vessel");
     }
 }

@@ -15,9 +15,9 @@ use super::ExtractError;
 use super::component::ComponentGraph;
 use super::control::CancelToken;
 use super::line_tree::LineTree;
-use super::own_sections::{OwnSection, Plane, own_sections_in};
+use super::own_sections::{OwnSection, Plane, own_sections, own_sections_in};
 use super::triangle_grid::TriangleGrid;
-use profile::Profile;
+use profile::{CENTRED, Profile};
 use suspects::{noise, suspects};
 use window::{Stretch, Window, with_points};
 
@@ -70,24 +70,41 @@ pub fn told_anew(
     let (finer, windows) = with_points(graph, &suspects);
     let seen = look(&finer, &windows)?.into_iter().zip(suspects);
     let refuted = seen.filter(|(profile, _)| profile.share > 0.0);
-    let stretches: Vec<Stretch> = refuted
+    let mut stretches: Vec<Stretch> = refuted
         .map(|(profile, stretch)| Stretch { step: stretch.step.min(FINE * profile.least), ..stretch })
         .collect();
-    if stretches.is_empty() {
-        return Ok(None);
-    }
-    let (mut finer, windows) = with_points(graph, &stretches);
-    for _ in 0..MOVES {
-        for (window, profile) in windows.iter().zip(look(&finer, &windows)?) {
-            profile.move_points(window, &mut finer);
+    while !stretches.is_empty() {
+        let (mut finer, windows) = with_points(graph, &stretches);
+        for _ in 0..MOVES {
+            for (window, profile) in windows.iter().zip(look(&finer, &windows)?) {
+                profile.move_points(window, &mut finer);
+            }
         }
+        let mut branches: Vec<usize> = stretches.iter().map(|stretch| stretch.branch).collect();
+        branches.dedup();
+        let moved = own_sections(grid, &LineTree::new(&finer), &finer, branches.iter().copied());
+        let strayed = |(window, stretch): (&Window, &Stretch)| {
+            offset(window.of(&moved)) > offset(stretch.of(sections, graph)).max(CENTRED)
+        };
+        let strayed: Vec<bool> = windows.iter().zip(&stretches).map(strayed).collect();
+        if strayed.contains(&true) {
+            // What came off the middle of its vessel by that stays as it was told, and is warned of.
+            let mut strayed = strayed.into_iter();
+            stretches.retain(|_| strayed.next() != Some(true));
+            continue;
+        }
+        for (window, profile) in windows.iter().zip(look(&finer, &windows)?) {
+            profile.set_radii(window, grid, noise[window.branch], &mut finer);
+        }
+        return Ok(Some(FocalPlaces { graph: finer, branches }));
     }
-    for (window, profile) in windows.iter().zip(look(&finer, &windows)?) {
-        profile.set_radii(window, grid, noise[window.branch], &mut finer);
-    }
-    let mut branches: Vec<usize> = stretches.iter().map(|stretch| stretch.branch).collect();
-    branches.dedup();
-    Ok(Some(FocalPlaces { graph: finer, branches }))
+    Ok(None)
+}
+
+/// Mean distance of a line from the middles of its sections, in their radii; 0 where there are none.
+fn offset<'a>(sections: impl Iterator<Item = &'a OwnSection>) -> f64 {
+    let (sum, count) = sections.fold((0.0, 0), |(sum, count), s| (sum + s.offset / s.radius, count + 1));
+    sum / f64::from(count.max(1))
 }
 
 #[cfg(test)]

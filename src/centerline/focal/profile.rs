@@ -13,7 +13,7 @@ use crate::centerline::triangle_grid::TriangleGrid;
 
 /// Distance of the line from the middles of the sections, in their radii, up to which it stays, as it knows the wall on either
 /// side as well; from twice that on it moves all the way.
-const CENTRED: f64 = 0.15;
+pub const CENTRED: f64 = 0.15;
 /// How far a place takes the worst that is seen, in radii.
 const AROUND: f64 = 1.0;
 /// How much more than the distance of the wall, which noise brings near, a sphere may have that is wider than told.

@@ -6,7 +6,7 @@ use nalgebra::{Point3, Unit, Vector3};
 
 use crate::centerline::component::ComponentGraph;
 use crate::centerline::graph::Branch;
-use crate::centerline::own_sections::{Plane, tangent};
+use crate::centerline::own_sections::{OwnSection, Plane, tangent};
 
 /// The most points in a stretch, where the line does not come with half as many.
 const MOST: usize = 256;
@@ -29,6 +29,17 @@ impl Stretch {
         self.branch == next.branch && self.to >= next.from
     }
 
+    /// Those of a line's own sections that lie in it.
+    pub fn of<'a>(
+        &'a self,
+        sections: &'a [OwnSection],
+        graph: &ComponentGraph,
+    ) -> impl Iterator<Item = &'a OwnSection> {
+        let ways = graph.branches[self.branch].ways();
+        let of_branch = sections.iter().filter(|section| section.branch == self.branch);
+        of_branch.filter(move |section| (self.from..=self.to).contains(&ways[section.place]))
+    }
+
     pub fn add(&mut self, other: &Self) {
         self.from = self.from.min(other.from);
         self.to = self.to.max(other.to);
@@ -47,6 +58,13 @@ pub struct Window {
 }
 
 impl Window {
+    /// Those of a line's own sections that lie in it.
+    pub fn of<'a>(&'a self, sections: &'a [OwnSection]) -> impl Iterator<Item = &'a OwnSection> {
+        sections
+            .iter()
+            .filter(|section| section.branch == self.branch && self.places.contains(&section.place))
+    }
+
     pub fn planes(&self) -> impl Iterator<Item = Plane> + '_ {
         let all = self.places.clone().zip(&self.tangents);
         all.map(|(place, &tangent)| Plane { branch: self.branch, place, tangent })

@@ -3,22 +3,31 @@
 //! The points that count are those of the line's [`OwnSection`]s. The offset is the distance to the section's
 //! centroid, over the radius of the circle of the section's area.
 
+use nalgebra::Point3;
+
 use super::Centeredness;
 use crate::centerline::graph::Warning;
 use crate::centerline::own_sections::OwnSection;
+
+/// Offset that is warned of.
+const ASIDE: f64 = 0.6;
 
 /// Sums over the points that count.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Offsets {
     sum: f64,
     max: f64,
+    /// The middle of the section with the largest.
+    farthest: Point3<f64>,
     sections: usize,
 }
 
 impl Offsets {
     pub fn add(&mut self, other: &Self) {
         self.sum += other.sum;
-        self.max = self.max.max(other.max);
+        if other.max > self.max {
+            (self.max, self.farthest) = (other.max, other.farthest);
+        }
         self.sections += other.sections;
     }
 
@@ -31,8 +40,19 @@ impl Offsets {
         }
     }
 
-    /// That of component `index` where no point counts.
+    /// That of component `index` where no point counts, or one lies far from the middle.
     pub fn warning(&self, index: usize) -> Option<Warning> {
+        if self.max > ASIDE {
+            let Point3 { coords: at } = self.farthest;
+            return Some(Warning {
+                code: "off-center",
+                detail: format!(
+                    "the line of component {index} lies {:.2} radii beside the middle of its vessel at [{:.4}, {:.4}, {:.4}], as \
+                     where it misses a narrow place",
+                    self.max, at.x, at.y, at.z
+                ),
+            });
+        }
         (self.sections == 0).then(|| Warning {
             code: "no-section",
             detail: format!(
@@ -45,6 +65,10 @@ impl Offsets {
 
 /// The offsets of a component's line.
 pub fn measure(sections: &[OwnSection]) -> Offsets {
-    let offsets = || sections.iter().map(|section| section.offset / section.radius);
-    Offsets { sum: offsets().sum(), max: offsets().fold(0.0, f64::max), sections: sections.len() }
+    let mut all = Offsets::default();
+    for section in sections {
+        let offset = section.offset / section.radius;
+        all.add(&Offsets { sum: offset, max: offset, farthest: section.middle, sections: 1 });
+    }
+    all
 }

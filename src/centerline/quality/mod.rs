@@ -203,6 +203,14 @@ mod tests {
     }
 
     #[test]
+    fn a_line_beside_the_middle_is_told() {
+        assert_eq!(measured(&tube(), &straight(0.0, 20.0, 0.5)).1, Vec::<&str>::new());
+        let (quality, warnings) = measured(&tube(), &straight(0.0, 20.0, 0.7));
+        assert!((quality.centeredness.max.unwrap() - 0.7).abs() < 0.01);
+        assert!(warnings.contains(&"off-center"), "{warnings:?}");
+    }
+
+    #[test]
     fn radii_that_no_sphere_has_are_told() {
         let wide = |of: f64, from: usize, to: usize| {
             let mut line = straight(0.0, 20.0, 0.0);
