@@ -41,23 +41,19 @@ pub(super) struct House {
 /// the future cuts what is open.
 pub(super) async fn serve(mut listener: TcpListener, house: House, closing: CancellationToken) {
     let House { router, tls, head, crowd } = house;
-    let mut http = Builder::new(TokioExecutor::new()).http1_only();
-    http.http1().timer(TokioTimer::new()).header_read_timeout(head);
-    let mut once = http.clone();
-    once.http1().keep_alive(false).header_read_timeout(ASKING);
-    let standing = router.clone().layer(Extension(Standing));
+    let manners = Arc::new(Manners::new(router, head));
     let mut open = JoinSet::new();
     loop {
         tokio::select! {
             (socket, address) = Listener::accept(&mut listener), if crowd.has_room() => {
                 // There is room: only this loop takes places.
                 let Some(place) = crowd.take() else { continue };
-                let (seated, past) = ((http.clone(), router.clone(), head), (once.clone(), standing.clone(), ASKING));
+                let manners = manners.clone();
                 let (tls, closing, peer) = (tls.clone(), closing.clone(), Peer(address.ip()));
                 open.spawn(async move {
                     let place = place.seated_soon().await;
-                    let (http, router, head) = if place.is_seat() { seated } else { past };
-                    let conversation = begin(http, tls, socket, head, peer, router, closing);
+                    let manner = if place.is_seat() { &manners.seated } else { &manners.standing };
+                    let conversation = begin(manner, tls, socket, peer, closing);
                     if place.is_seat() {
                         conversation.await;
                     } else if tokio::time::timeout(HEARING, conversation).await.is_err() {
@@ -74,28 +70,53 @@ pub(super) async fn serve(mut listener: TcpListener, house: House, closing: Canc
     while open.join_next().await.is_some() {}
 }
 
+/// How the requests of a connection are answered.
+struct Manner {
+    http: Builder<TokioExecutor>,
+    router: Router,
+    head: Duration,
+}
+
+/// Within the limit of connections, and past it.
+struct Manners {
+    seated: Manner,
+    standing: Manner,
+}
+
+impl Manners {
+    fn new(router: Router, head: Duration) -> Self {
+        let mut http = Builder::new(TokioExecutor::new()).http1_only();
+        http.http1().timer(TokioTimer::new()).header_read_timeout(head);
+        let mut once = http.clone();
+        once.http1().keep_alive(false).header_read_timeout(ASKING);
+        let turning_away = router.clone().layer(Extension(Standing));
+        Self {
+            seated: Manner { http, router, head },
+            standing: Manner { http: once, router: turning_away, head: ASKING },
+        }
+    }
+}
+
 /// Greets a client where TLS is spoken, and answers its requests.
 async fn begin(
-    http: Builder<TokioExecutor>,
+    manner: &Manner,
     tls: Option<Arc<Tls>>,
     socket: TcpStream,
-    head: Duration,
     peer: Peer,
-    router: Router,
     closing: CancellationToken,
 ) {
     // Small answers should not wait for more; a socket that cannot be set works all the same.
     let _ = socket.set_nodelay(true);
     match tls {
-        None => converse(http, unless_stuck(socket, head), peer, router, closing).await,
+        None => converse(manner, socket, peer, closing).await,
         Some(tls) => {
             let greeted = tokio::select! {
-                greeted = greet(&tls, socket, head) => greeted,
+                greeted = greet(&tls, socket, manner.head) => greeted,
                 // Nothing was asked yet.
                 () = closing.cancelled() => None,
             };
             if let Some(stream) = greeted {
-                converse(http, unless_stuck(stream, head), peer, router, closing).await;
+                converse(manner, stream, peer, closing).await;
             }
         }
     }
@@ -162,14 +183,14 @@ fn unless_stuck<Stream: AsyncRead + AsyncWrite>(
 
 /// Answers one client's requests.
 async fn converse(
-    http: Builder<TokioExecutor>,
-    stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    Manner { http, router, head }: &Manner,
+    stream: impl AsyncRead + AsyncWrite + Send + 'static,
     peer: Peer,
-    router: Router,
     closing: CancellationToken,
 ) {
-    let connection = http
-        .serve_connection(TokioIo::new(stream), TowerToHyperService::new(AddExtension::new(router, peer)));
+    let stream = TokioIo::new(unless_stuck(stream, *head));
+    let service = TowerToHyperService::new(AddExtension::new(router.clone(), peer));
+    let connection = http.serve_connection(stream, service);
     let mut connection = pin!(connection);
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,

@@ -31,7 +31,6 @@ pub(super) struct Crowd {
     most: usize,
     seats: Arc<Semaphore>,
     standing: Arc<Semaphore>,
-    most_standing: usize,
 }
 
 /// A connection's place; dropping it gives it back.
@@ -65,9 +64,8 @@ impl Place {
 impl Crowd {
     pub(super) fn new(most: usize) -> Self {
         let most = most.clamp(1, Semaphore::MAX_PERMITS);
-        let standing = (most / 4).clamp(FEWEST, STANDING);
         let of = |places| Arc::new(Semaphore::new(places));
-        Self { most, seats: of(most), standing: of(standing), most_standing: standing }
+        Self { most, seats: of(most), standing: of(most_standing(most)) }
     }
 
     /// Whether one more may be accepted.
@@ -90,8 +88,13 @@ impl Crowd {
 
     /// Those past it.
     pub(super) fn standing(&self) -> usize {
-        self.most_standing - self.standing.available_permits()
+        most_standing(self.most) - self.standing.available_permits()
     }
+}
+
+/// How many may stand where so many have a seat.
+fn most_standing(seats: usize) -> usize {
+    (seats / 4).clamp(FEWEST, STANDING)
 }
 
 /// The mark of a request on a connection past the limit.

@@ -5,21 +5,26 @@ use std::process::Command;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use reqwest::{Client, Response};
+use reqwest::{Client, Method, Response};
 use serde_json::Value;
 
 use crate::meshes;
 use crate::service::{PATIENCE, Service, problem};
+use crate::tls::{Files, Pair, trusting};
 
 /// Connections on which nothing is asked.
 fn idle(service: &Service, count: usize) -> Vec<TcpStream> {
     (0..count).map(|_| TcpStream::connect(service.address()).unwrap()).collect()
 }
 
+/// A client with a connection for each request.
+fn fresh() -> Client {
+    Client::builder().tls_certs_only([]).pool_max_idle_per_host(0).build().unwrap()
+}
+
 /// One request on a connection of its own.
 async fn ask(service: &Service, path: &str) -> reqwest::Result<Response> {
-    let client = Client::builder().tls_certs_only([]).build().unwrap();
-    client.get(format!("{}{path}", service.url)).send().await
+    fresh().get(format!("{}{path}", service.url)).send().await
 }
 
 async fn connections(service: &Service) -> Value {
@@ -55,7 +60,7 @@ async fn a_connection_too_many_is_told_so_and_probes_have_their_answer() {
         (&"close".parse().unwrap(), &"5".parse().unwrap())
     );
     assert_eq!(problem(refused, 503, "too-many-connections").await["limit"], 4);
-    let post = Client::builder().tls_certs_only([]).build().unwrap().post(format!("{}/v1/jobs", service.url));
+    let post = fresh().post(format!("{}/v1/jobs", service.url));
     problem(post.body(meshes::large()).send().await.unwrap(), 503, "too-many-connections").await;
     for probe in ["/healthz", "/readyz", "/metrics"] {
         assert_eq!(ask(&service, probe).await.unwrap().status(), 200, "{probe}");
@@ -66,6 +71,50 @@ async fn a_connection_too_many_is_told_so_and_probes_have_their_answer() {
     drop(others);
     until_open(&service, 1).await;
     assert_eq!(ask(&service, "/v1/jobs").await.unwrap().status(), 200);
+}
+
+/// A page of another origin could not read the reason without its CORS headers.
+#[tokio::test]
+async fn browsers_and_requests_for_heads_are_told_too() {
+    const PAGE: &str = "https://viewer.example";
+    let service = Service::start(&["--max-connections", "4"]);
+    assert_eq!(open(&service).await, 1);
+    let others = idle(&service, 3);
+    until_open(&service, 4).await;
+    let url = format!("{}/v1/jobs", service.url);
+    let from_page = |method| fresh().request(method, &url).header("origin", PAGE);
+    let told = from_page(Method::GET).send().await.unwrap();
+    assert_eq!(told.headers()["access-control-allow-origin"], "*");
+    problem(told, 503, "too-many-connections").await;
+    let head = from_page(Method::HEAD).send().await.unwrap();
+    assert_eq!((head.status().as_u16(), &head.headers()["retry-after"]), (503, &"5".parse().unwrap()));
+    assert_eq!(head.bytes().await.unwrap().len(), 0);
+    let before = from_page(Method::OPTIONS).header("access-control-request-method", "POST");
+    let before = before.send().await.unwrap();
+    assert!(before.status().is_success(), "the request itself is what gets the reason: {before:?}");
+    assert_eq!(before.headers()["access-control-allow-origin"], "*");
+    drop(others);
+}
+
+#[tokio::test]
+async fn past_the_limit_tls_is_spoken_too() {
+    let pair = Pair::new();
+    let files = Files::new(&pair);
+    let mut service = files.start(&["--max-connections", "2"]);
+    service.client = trusting(&[&pair]);
+    let others = idle(&service, 2);
+    let url = format!("{}/v1/jobs", service.url);
+    let begin = Instant::now();
+    let told = loop {
+        let told = service.client.get(&url).send().await.unwrap();
+        if told.status() != 200 {
+            break told;
+        }
+        assert!(begin.elapsed() < PATIENCE, "{}", service.log());
+    };
+    problem(told, 503, "too-many-connections").await;
+    assert_eq!(service.get("/healthz").send().await.unwrap().status(), 200);
+    drop(others);
 }
 
 #[tokio::test]
@@ -88,9 +137,8 @@ async fn who_has_one_connection_after_the_other_is_not_too_many() {
     let service = Service::start(&["--max-connections", "1"]);
     let url = format!("{}/v1/jobs?dry_run=true", service.url);
     for _ in 0..20 {
-        let client = Client::builder().tls_certs_only([]).pool_max_idle_per_host(0).build().unwrap();
         let answer =
-            client.post(&url).header("connection", "close").body(meshes::small()).send().await.unwrap();
+            fresh().post(&url).header("connection", "close").body(meshes::small()).send().await.unwrap();
         assert_eq!(answer.status(), 200, "{}", service.log());
     }
 }

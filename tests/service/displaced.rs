@@ -88,6 +88,30 @@ async fn a_disk_that_is_unmounted_takes_nothing() {
     assert!(names(disk.path()).is_empty(), "{:?}", names(disk.path()));
 }
 
+/// A disk that comes back is the folder of the start again: nothing has to be started anew.
+#[tokio::test]
+async fn a_disk_that_is_unmounted_and_mounted_again_goes_on() {
+    let Some(disk) = SmallDisk::mount() else { return };
+    let place = Arc::new(tempfile::tempdir().unwrap());
+    let data = place.path().to_str().unwrap();
+    let mount = || Command::new("mount").arg("--bind").arg(disk.path()).arg(data).status().unwrap();
+    let unmount = || Command::new("umount").args(["--lazy", data]).status().unwrap();
+    assert!(mount().success());
+    let service = Service::start_on(place.clone(), &["--data", data, "--min-free", "1MiB"]);
+    let job = service.accepted("", meshes::small()).await;
+    service.ended(&job).await;
+    assert!(unmount().success());
+    refuses(&service, &job, "the data folder").await;
+    assert!(mount().success());
+    service.assert_alive().await;
+    let next = service.accepted("", meshes::small()).await;
+    assert_eq!(service.ended(&next).await["status"], "successful");
+    let result = service.get(&format!("{job}/results/centerline")).send().await.unwrap();
+    assert_eq!(result.status(), 200);
+    drop(service);
+    assert!(unmount().success());
+}
+
 #[tokio::test]
 async fn a_database_that_is_gone_takes_nothing_and_no_start_removes_the_files_of_its_jobs() {
     let parent = Arc::new(tempfile::tempdir().unwrap());

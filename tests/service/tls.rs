@@ -80,7 +80,7 @@ fn text(path: &Path) -> &str {
 }
 
 /// A client that trusts these and nobody else.
-fn trusting(pairs: &[&Pair]) -> Client {
+pub fn trusting(pairs: &[&Pair]) -> Client {
     let roots = pairs.iter().map(|pair| reqwest::Certificate::from_der(&pair.der()).unwrap());
     // A connection for each request: what is told of the certificate is of now.
     Client::builder().tls_certs_only(roots).tls_info(true).pool_max_idle_per_host(0).build().unwrap()
