@@ -1,12 +1,11 @@
 //! Branches that were cut close to their joint: their opening says more of them than their level sets.
 
 use nalgebra::{Unit, Vector3};
-use rustc_hash::FxHashSet;
 
 use crate::mesh::preparation::{Opening, Surface};
 
 use crate::centerline::segmentation::track::{Station, Track};
-use crate::centerline::tips::root::{free_direction, toward};
+use crate::centerline::tips::root::{connected, free_direction, toward};
 
 use super::cross_sections::nearest_ring;
 
@@ -54,17 +53,10 @@ fn axis(surface: &Surface, opening: &Opening, square: &Unit<Vector3<f64>>) -> Op
     let depth = DEPTH * opening.area_radius(&surface.mesh);
     let far = opening.rim.iter().map(|&v| at(v).norm()).fold(0.0, f64::max).hypot(depth);
     let is_near = |&v: &u32| at(v).dot(square) > -depth && at(v).norm() < far;
-    let around = |t: u32| (3 * t..3 * t + 3).map(|h| surface.corners.opposite(h) / 3);
-    let mut queue: Vec<u32> = opening.cap.clone().flat_map(around).collect();
-    let mut wall = FxHashSet::default();
-    while let Some(t) = queue.pop() {
-        let belongs = || surface.mesh.triangles[t as usize].iter().all(is_near);
-        if !surface.is_cap(t) && belongs() && wall.insert(t) {
-            queue.extend(around(t));
-        }
-    }
+    let is_wall = |t: u32| !surface.is_cap(t) && surface.mesh.triangles[t as usize].iter().all(is_near);
+    let mut wall = connected(surface, opening.centre, |t| opening.cap.contains(&t) || is_wall(t));
+    wall.retain(|&t| !surface.is_cap(t));
     // In the order of the mesh: sums depend on it.
-    let mut wall: Vec<u32> = wall.into_iter().collect();
     wall.sort_unstable();
     let axis = toward(free_direction(surface, wall.into_iter(), FREE)?, square);
     ASLANT.contains(&axis.dot(square)).then(|| Unit::new_normalize(axis))

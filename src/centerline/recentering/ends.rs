@@ -96,12 +96,11 @@ fn stay_inside(surface: &Surface, track: &mut Track, tip: u32) {
     /// How far from its middle, in its radii, a bend may come back past that plane.
     const NEAR: f64 = 2.0;
     let Some(opening) = surface.opening_at(tip) else { return };
-    let (centre, square) = (surface.mesh.vertices[tip as usize], rim_normal(surface, opening));
+    let Some(square) = opening.area_vector(&surface.mesh).try_normalize(0.0) else { return };
+    let centre = surface.mesh.vertices[tip as usize];
     let is_inside = |station: &Station| {
         let away = centre - station.point;
-        away.norm() > NEAR * opening.radius
-            || away.dot(&square) > BEFORE * opening.radius
-            || square == Vector3::zeros()
+        away.norm() > NEAR * opening.radius || away.dot(&square) > BEFORE * opening.radius
     };
     let inside = track.stations.iter().rposition(is_inside).map_or(0, |last| last + 1);
     track.stations.truncate(inside);

@@ -179,7 +179,7 @@ pub fn toward(axis: Vector3<f64>, direction: &Vector3<f64>) -> Vector3<f64> {
 }
 
 /// The triangles that hang together with a vertex as far as they belong.
-fn connected(surface: &Surface, vertex: u32, belongs: impl Fn(u32) -> bool) -> Vec<u32> {
+pub fn connected(surface: &Surface, vertex: u32, belongs: impl Fn(u32) -> bool) -> Vec<u32> {
     let corners = &surface.corners;
     let mut seen = FxHashSet::default();
     let mut found: Vec<u32> = Vec::new();
