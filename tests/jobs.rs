@@ -93,7 +93,7 @@ async fn two_hundred_jobs_over_four_workers_run_once_each() {
     let page = service.list(ListQuery { limit: 500, ..ListQuery::default() }).await.unwrap();
     let listed: HashSet<JobId> = page.jobs.iter().map(|job| job.id).collect();
     assert_eq!(listed, jobs.iter().map(|job| job.id).collect());
-    assert_eq!(files(&dir.path().join("data/blobs")).len(), 200 * 4);
+    assert_eq!(files(&dir.path().join("data/blobs")).len(), 200 * (1 + OutputFormat::ALL.len()));
     service.shutdown(Duration::from_secs(5)).await;
 }
 

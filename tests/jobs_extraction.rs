@@ -38,7 +38,7 @@ fn stl(kind: Kind) -> Vec<u8> {
     bytes
 }
 
-/// The three results of a job on pools of this many threads.
+/// The results of a job on pools of this many threads.
 async fn results(threads: usize, bytes: &[u8], spec: &JobSpec) -> Vec<Vec<u8>> {
     let dir = tempfile::tempdir().unwrap();
     let settings = Settings {

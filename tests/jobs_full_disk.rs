@@ -47,6 +47,10 @@ async fn a_full_disk_refuses_and_recovers_by_itself() {
     let next = submit(&service, "ok").await;
     assert_eq!(ended(&service, next.id).await.status, JobStatus::Successful);
     // The inputs and results of two jobs, and nothing of what was refused.
-    until(async || (files(&data.join("blobs")).len() == 2 * 4).then_some(())).await;
+    until(async || {
+        (files(&data.join("blobs")).len() == 2 * (1 + rosaline::output::OutputFormat::ALL.len()))
+            .then_some(())
+    })
+    .await;
     service.shutdown(Duration::from_secs(5)).await;
 }

@@ -110,7 +110,7 @@ async fn sigkill_at_any_moment_loses_no_accepted_job() {
         accepted.len()
     );
     assert!(accepted.len() >= 236 && given_up == 0);
-    // Only files of jobs are left: an input each, and three results of the successful ones.
+    // Only files of jobs are left: an input each, and the results of the successful ones.
     let mut all = 0;
     let mut query = ListQuery { limit: 100, ..ListQuery::default() };
     loop {
@@ -123,7 +123,7 @@ async fn sigkill_at_any_moment_loses_no_accepted_job() {
         query.before = Some(next);
     }
     let Counts { successful, .. } = service.counts().await.unwrap();
-    assert_eq!(files(&data.join("blobs")).len(), all + 3 * successful as usize);
+    assert_eq!(files(&data.join("blobs")).len(), all + OutputFormat::ALL.len() * successful as usize);
     service.shutdown(Duration::from_secs(5)).await;
 }
 
@@ -239,7 +239,7 @@ async fn a_start_completes_or_removes_what_a_kill_left_half_done() {
     assert_eq!(read(&service, ran, OutputFormat::Json).await, result_of("ok again", OutputFormat::Json));
     assert_eq!(read(&service, done.id, OutputFormat::Glb).await, result_of("ok", OutputFormat::Glb));
     let names = files(&blobs);
-    assert_eq!(names.len(), 9, "two inputs, six results and a file that is not ours: {names:?}");
+    assert_eq!(names.len(), 11, "two inputs, eight results and a file that is not ours: {names:?}");
     assert!(names.iter().all(|name| !name.contains('#') && !name.contains("oldlease")));
     assert_eq!(script.runs("ok without a row"), 0);
     assert!(submit(&service, "ok").await.id > ran, "ids go on from the newest stored one");

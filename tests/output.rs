@@ -189,6 +189,13 @@ fn vtp_has_every_branch_to_the_last_digit() {
             assert!(text.contains(&format!("Name=\"{array}\" format=\"ascii\">{values}<")), "{array}");
         }
     }
+    let mut spheres = document([0.0; 3], 1e-30);
+    spheres.branches.iter_mut().for_each(|branch| branch.equivalent_radii.clear());
+    let text = String::from_utf8(write(&spheres, OutputFormat::Vtp).unwrap()).unwrap();
+    let array =
+        |name: &str| text.split(&format!("\"{name}\" format=\"ascii\">")).nth(1).unwrap().split('<').next();
+    assert_eq!(array("EquivalentRadius"), array("MaximumInscribedSphereRadius"));
+    assert!(array("Length").unwrap().ends_with("e-30"), "{:?}", array("Length"));
 }
 
 #[test]

@@ -160,7 +160,7 @@ async fn packed(artifacts: Vec<Artifact>, cancel: CancelToken) -> Vec<Packed> {
 }
 
 fn smaller((format, bytes): (OutputFormat, Bytes), cancel: &CancelToken) -> Vec<Packed> {
-    // Tools beside a user read VTP, seldom: every job would pay for compressing it.
+    // VTP is fetched seldom, and by desktop tools: compressing it would cost every job.
     if bytes.len() < LEAST || matches!(format, OutputFormat::Glb | OutputFormat::Vtp) {
         return Vec::new();
     }
@@ -190,18 +190,32 @@ impl JobService {
         format: OutputFormat,
         codings: &[Coding],
     ) -> Result<StoredArtifact, JobError> {
+        let artifacts = self.artifacts(id).await?;
+        let of = |coding: &Coding| {
+            let mut forms = artifacts.iter();
+            forms.find(|artifact| (artifact.format, artifact.coding) == (format, *coding)).cloned()
+        };
+        codings.iter().find_map(of).ok_or(JobError::NoSuchResult { id, format })
+    }
+
+    /// The forms that a successful job's result is there in: fewer than [all](OutputFormat::ALL) where an older version made it.
+    ///
+    /// # Errors
+    /// Those of [`JobService::result`].
+    pub async fn result_forms(&self, id: JobId) -> Result<Vec<OutputFormat>, JobError> {
+        let artifacts = self.artifacts(id).await?;
+        let is_there = |format: &OutputFormat| artifacts.iter().any(|artifact| artifact.format == *format);
+        Ok(OutputFormat::ALL.into_iter().filter(is_there).collect())
+    }
+
+    /// What a successful job has made.
+    async fn artifacts(&self, id: JobId) -> Result<Vec<StoredArtifact>, JobError> {
         let job = self.row(id).await?;
         if job.purging.is_some() {
             return Err(JobError::Purging { id });
         }
         match (job.status, job.error) {
-            (JobStatus::Successful, _) => {
-                let of = |coding: &Coding| {
-                    let mut forms = job.artifacts.iter();
-                    forms.find(|artifact| (artifact.format, artifact.coding) == (format, *coding)).cloned()
-                };
-                codings.iter().find_map(of).ok_or(JobError::NoSuchResult { id, format })
-            }
+            (JobStatus::Successful, _) => Ok(job.artifacts),
             (JobStatus::Failed, Some(failure)) => Err(JobError::Failed { id, failure: Box::new(failure) }),
             (JobStatus::Dismissed, _) => Err(JobError::Dismissed { id }),
             (status, _) => Err(JobError::NotReady { id, status }),

@@ -5,7 +5,7 @@
 //! `BranchId`, `FromNode`, `ToNode` and `Length`. Numbers are text, in the shortest form that reads back to the same
 //! `f64`: points of branches that meet are equal.
 
-use std::fmt::{Display, Write as _};
+use std::fmt::{Debug, Write as _};
 
 use super::json::check_finite;
 use super::{BranchRecord, OutputError, ResultDocument};
@@ -25,10 +25,15 @@ pub fn write_vtp(document: &ResultDocument) -> Result<Vec<u8>, OutputError> {
          NumberOfLines=\"{}\" NumberOfStrips=\"0\" NumberOfPolys=\"0\">\n",
         branches.len()
     );
-    let radii = |of: fn(&BranchRecord) -> &Vec<f64>| branches.iter().flat_map(of);
+    let inscribed = |branch: &BranchRecord| branch.radii.clone();
+    // A document that knows spheres alone has circles for sections.
+    let equivalent = |branch: &BranchRecord| match branch.equivalent_radii.len() {
+        0 => branch.radii.clone(),
+        _ => branch.equivalent_radii.clone(),
+    };
     text.push_str("<PointData Scalars=\"MaximumInscribedSphereRadius\">\n");
-    array(&mut text, "Float64", "MaximumInscribedSphereRadius", radii(|branch| &branch.radii));
-    array(&mut text, "Float64", "EquivalentRadius", radii(|branch| &branch.equivalent_radii));
+    array(&mut text, "Float64", "MaximumInscribedSphereRadius", branches.iter().flat_map(inscribed));
+    array(&mut text, "Float64", "EquivalentRadius", branches.iter().flat_map(equivalent));
     text.push_str("</PointData>\n<CellData>\n");
     array(&mut text, "Int64", "BranchId", branches.iter().map(|branch| branch.id));
     array(&mut text, "Int64", "FromNode", branches.iter().map(|branch| branch.from));
@@ -47,11 +52,11 @@ pub fn write_vtp(document: &ResultDocument) -> Result<Vec<u8>, OutputError> {
     Ok(text.into_bytes())
 }
 
-/// One `DataArray`; its type may carry further attributes.
-fn array(text: &mut String, kind: &str, name: &str, values: impl Iterator<Item: Display>) {
+/// One `DataArray`; its type may carry further attributes. `Debug` writes the smallest and largest numbers with an exponent.
+fn array(text: &mut String, kind: &str, name: &str, values: impl Iterator<Item: Debug>) {
     let _ = write!(text, "<DataArray type=\"{kind}\" Name=\"{name}\" format=\"ascii\">");
     for (place, value) in values.enumerate() {
-        let _ = write!(text, "{}{value}", if place == 0 { "" } else { " " });
+        let _ = write!(text, "{}{value:?}", if place == 0 { "" } else { " " });
     }
     text.push_str("</DataArray>\n");
 }

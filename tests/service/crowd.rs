@@ -88,7 +88,6 @@ async fn browsers_and_requests_for_heads_are_told_too() {
     problem(told, 503, "too-many-connections").await;
     let head = from_page(Method::HEAD).send().await.unwrap();
     assert_eq!((head.status().as_u16(), &head.headers()["retry-after"]), (503, &"5".parse().unwrap()));
-    assert_eq!(head.bytes().await.unwrap().len(), 0);
     let before = from_page(Method::OPTIONS).header("access-control-request-method", "POST");
     let before = before.send().await.unwrap();
     assert!(before.status().is_success(), "the request itself is what gets the reason: {before:?}");

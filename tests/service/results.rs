@@ -311,3 +311,40 @@ async fn a_result_that_is_another_than_if_match_names_is_not_sent() {
     let plain = service.get(&result).header("if-match", &tag).send().await.unwrap();
     problem(plain, 412, "precondition-failed").await;
 }
+
+/// As a version before VTP left it.
+#[tokio::test]
+async fn a_form_that_an_older_version_did_not_make_is_told_and_not_offered() {
+    let (service, result) = finished().await;
+    let job = result.strip_suffix("/results/centerline").unwrap().to_owned();
+    let database = service.data().join("jobs.sqlite");
+    let service = {
+        let mut service = service;
+        service.terminate();
+        service.wait();
+        forget_vtp(&database).await;
+        service.restart(&[])
+    };
+    let links = service.status(&job).await["links"].to_string();
+    assert!(links.contains("centerline.glb") && !links.contains("centerline.vtp"), "{links}");
+    for coding in ["identity", "gzip, identity;q=0"] {
+        let asked = service.get(&format!("{result}.vtp")).header("accept-encoding", coding);
+        problem(asked.send().await.unwrap(), 404, "no-such-form").await;
+    }
+    let preferred = service.get(&result).header("accept", "model/vtk, application/json;q=0.5");
+    assert_eq!(content_type(preferred).await, "application/json");
+    let alone = service.get(&result).header("accept", "model/vtk").send().await.unwrap();
+    assert_eq!(problem(alone, 406, "not-acceptable").await["available"].as_array().unwrap().len(), 3);
+}
+
+async fn forget_vtp(database: &std::path::Path) {
+    use sqlx::{ConnectOptions, Row};
+    let url = format!("sqlite://{}", database.display());
+    let options: sqlx::sqlite::SqliteConnectOptions = url.parse().unwrap();
+    let mut connection = options.connect().await.unwrap();
+    let row = sqlx::query("SELECT artifacts FROM jobs").fetch_one(&mut connection).await.unwrap();
+    let mut artifacts: Vec<serde_json::Value> = serde_json::from_str(row.get(0)).unwrap();
+    artifacts.retain(|artifact| artifact["format"] != "vtp");
+    let text = serde_json::to_string(&artifacts).unwrap();
+    sqlx::query("UPDATE jobs SET artifacts = ?").bind(text).execute(&mut connection).await.unwrap();
+}

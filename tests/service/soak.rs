@@ -133,7 +133,7 @@ async fn inspect(service: &Service, paths: &BTreeSet<String>) {
         }
     }
     assert_eq!((inputs, results.len()), (paths.len(), 1), "an input each, and the same result for each");
-    assert_eq!(files.len(), 8 * paths.len(), "an input, three results, and two of them compressed twice");
+    assert_eq!(files.len(), 9 * paths.len(), "an input, four results, and two of them compressed twice");
 }
 
 #[tokio::test(flavor = "multi_thread")]

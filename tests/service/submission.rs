@@ -139,7 +139,7 @@ async fn a_surface_without_a_centerline_fails_with_its_own_problem() {
     assert_eq!(status["status"], "failed", "{status}");
     assert_eq!(status["error"]["type"], "urn:rosaline:problem:not-tubular");
     assert_eq!(status["error"]["instance"], job);
-    for extension in ["", ".json", ".gltf", ".glb"] {
+    for extension in ["", ".json", ".gltf", ".glb", ".vtp"] {
         let response = service.get(&format!("{job}/results/centerline{extension}")).send().await.unwrap();
         let problem = crate::service::problem(response, 422, "not-tubular").await;
         assert_eq!(problem, status["error"]);

@@ -244,7 +244,12 @@ fn list() -> Vec<Parameter> {
     let cursor = uuid().description(Some("Where the page begins: follow `Link` rather than make one"));
     vec![
         query("status", statuses.build()),
-        query(CLIENT_REFERENCE, reference("Only jobs that were submitted with this word")),
+        query(
+            CLIENT_REFERENCE,
+            reference(
+                "Only jobs that were submitted with this word. A proxy may log it, as it stands in the URL",
+            ),
+        ),
         query("limit", limit("Jobs on a page")),
         query("cursor", cursor.build()),
     ]

@@ -38,10 +38,10 @@ const NEGOTIATED_BY: &str = "accept, accept-encoding";
 )]
 pub async fn negotiated(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<Response, Problem> {
     // First whether there is a result at all: that does not depend on the form.
-    app.jobs().result(id, OutputFormat::Json).await.map_err(unavailable)?;
-    let offers: Vec<&str> = OutputFormat::ALL.iter().map(|format| format.media_type()).collect();
+    let forms = app.jobs().result_forms(id).await.map_err(unavailable)?;
+    let offers: Vec<&str> = forms.iter().map(|format| format.media_type()).collect();
     let choice = negotiation::preferred(&asked.headers, &offers);
-    let Some(format) = choice.and_then(|place| OutputFormat::ALL.get(place)) else {
+    let Some(format) = choice.and_then(|place| forms.get(place)) else {
         let detail = format!("the centerline is there as {}", offers.join(", "));
         return Err(Problem::new(&NOT_ACCEPTABLE, detail)
             .with("available", offers)
@@ -120,10 +120,12 @@ pub async fn vtp(State(app): State<App>, Id(id): Id, asked: Asked) -> Result<Res
 
 async fn answer(app: &App, id: JobId, format: OutputFormat, asked: &Asked) -> Result<Response, Problem> {
     let codings = coding::accepted(&asked.headers);
-    let artifact = app.jobs().result_in(id, format, &codings).await.map_err(|error| match error {
-        JobError::NoSuchResult { .. } if !codings.contains(&Coding::Identity) => not_in_coding(id, format),
-        error => unavailable(error),
-    })?;
+    let artifact = match app.jobs().result_in(id, format, &codings).await {
+        Err(JobError::NoSuchResult { .. }) if app.jobs().result_forms(id).await?.contains(&format) => {
+            return Err(not_in_coding(id, format));
+        }
+        found => found.map_err(unavailable)?,
+    };
     let etag = ETag::of_digest(&artifact.sha256);
     let headers = &asked.headers;
     if !etag.allows(headers) {

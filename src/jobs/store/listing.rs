@@ -14,7 +14,7 @@ const IN_STATE: &str = "SELECT * FROM jobs WHERE id < $1 AND ($3 IS NULL OR owne
     ORDER BY id DESC LIMIT $2";
 
 /// With their client's word `$5`, by an index of its own, and in the state `$4`.
-const OF_CLIENT: &str = "SELECT * FROM jobs WHERE client_reference = $5 AND id < $1 \
+pub(super) const OF_CLIENT: &str = "SELECT * FROM jobs WHERE client_reference = $5 AND id < $1 \
     AND ($3 IS NULL OR owner = $3) AND ($4 IS NULL OR status = $4) ORDER BY id DESC LIMIT $2";
 
 pub(super) async fn list(query: ListQuery, readers: &AnyPool) -> Result<Page, StoreError> {

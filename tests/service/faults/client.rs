@@ -232,7 +232,7 @@ impl Client {
             if job["status"] != "successful" {
                 continue;
             }
-            for extension in ["json", "glb", "gltf"] {
+            for extension in ["json", "glb", "gltf", "vtp"] {
                 let result = format!("{path}/results/centerline.{extension}");
                 let response = self.ask(|service| service.get(&result)).await?;
                 assert_eq!(response.status(), 200);
@@ -241,8 +241,8 @@ impl Client {
                 let digest = Sha256::digest(&bytes);
                 let digest: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
                 assert!(tag.contains(&digest), "{tag} {digest}");
-                // As it is, and the texts as .gz and .zst.
-                expected += if extension == "glb" { 1 } else { 3 };
+                // As it is, and JSON and glTF as .gz and .zst.
+                expected += if ["glb", "vtp"].contains(&extension) { 1 } else { 3 };
             }
         }
         assert_eq!(self.service().settled_files(expected).await, expected, "{}", self.service().log());

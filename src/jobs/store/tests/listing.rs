@@ -1,6 +1,7 @@
 //! Pages of jobs, and those of one client.
 
 use super::*;
+use crate::jobs::store::listing;
 
 #[tokio::test]
 async fn pages_are_newest_first_and_hold_every_job_once() {
@@ -58,8 +59,11 @@ async fn a_client_finds_its_jobs_by_its_own_word() {
     );
     let status = Some(JobStatus::Dismissed);
     assert_eq!(found(ListQuery { status, ..ListQuery::default() }).await, [ids[0]]);
-    let plan = "EXPLAIN QUERY PLAN SELECT * FROM jobs WHERE client_reference = 'case 7' AND id < '~' ORDER BY id DESC";
+    let plan = format!("EXPLAIN QUERY PLAN {}", listing::OF_CLIENT);
     let mut connection = sqlx::AnyConnection::connect(&url(&fixture.dir)).await.unwrap();
-    let plan: String = sqlx::query(plan).fetch_one(&mut connection).await.unwrap().get("detail");
+    let none = None::<String>;
+    let plan =
+        sqlx::query(sqlx::AssertSqlSafe(plan)).bind("~").bind(10).bind(&none).bind(&none).bind("case 7");
+    let plan: String = plan.fetch_one(&mut connection).await.unwrap().get("detail");
     assert!(plan.contains("jobs_client_reference"), "{plan}");
 }
