@@ -118,7 +118,13 @@ fn a_throat_beside_a_fork_is_told_and_the_fork_stays() {
 /// Told anew, the line of a narrow throat may come off the middle of its vessel. Then it stays as it was, and what it misses is told.
 #[test]
 fn a_line_that_misses_a_tight_throat_is_told() {
-    for (depth, width, by, step) in [(0.85, 1.25, 0.9, 0.17), (0.8, 1.5, 2.16, 0.2), (0.9, 1.25, 0.9, 0.2)] {
+    for (depth, width, by, step, most) in [
+        (0.85, 1.25, 0.9, 0.17, 0.7),
+        (0.8, 1.5, 2.16, 0.2, 0.4),
+        (0.9, 1.25, 0.9, 0.2, 1.5),
+        // Moved, it would lie 2.3 radii off.
+        (0.85, 1.25, 2.16, 0.18, 0.8),
+    ] {
         let field = |p: &Point3<f64>| {
             let near = bump(p.z, 14.0, width);
             ((p.x - by * near).hypot(p.y) - 3.0 * (1.0 - depth * near)).max(1.0 - p.z).max(p.z - 27.0)
@@ -131,7 +137,7 @@ fn a_line_that_misses_a_tight_throat_is_told() {
         };
         let off = branch.points.iter().map(middle).fold(0.0, f64::max);
         let told = found.warnings.iter().any(|w| ["off-center", "outside", "radius"].contains(&w.code));
-        assert!(off < 0.5 || told, "{depth} {width} {by} {step}: {off} {:?}", found.warnings);
+        assert!(off < most && (off < 0.5 || told), "{depth} {width} {by} {step}: {off} {:?}", found.warnings);
     }
 }
 

@@ -14,11 +14,11 @@ use super::network::Network;
 /// Longest stretch without a clean section, in radii of its wider end; into a joint also the joint's.
 const LONGEST: f64 = 5.0;
 
-/// Farthest that the finished line lies from the middle of a section that supports it, in its radii.
+/// Farthest that the line lies from the middle of a section that supports it, in its radii.
 const CENTRED: f64 = 0.1;
 /// Longest way from one of these sections to the next, in radii of the stretch's wider end.
 const SHOWN: f64 = 2.0;
-/// Farthest that a point of the finished line lies from a stretch that it is of, in the same.
+/// Farthest that a point of the line lies from a stretch that it is of, in the stretch's radii.
 const BESIDE: f64 = 0.5;
 
 /// A stretch of a branch between two firm places.
@@ -31,8 +31,9 @@ struct Stretch {
     radius: f64,
 }
 
-/// A warning of what was bridged and where the finished line, `graph`, shows no sections either: past a throat, where none was
-/// like that before, it may run in the middle all the same. O(points of the line), and its own sections where there are stretches.
+/// A warning of what was bridged and where the line as it was connected, `graph`, shows no sections either: past a throat, where
+/// none was like that before, it may run in the middle all the same. O(points of the line), and where there are stretches its own
+/// sections and O(sections x points of the stretches).
 pub fn check(network: &Network, grid: &TriangleGrid<'_>, graph: &ComponentGraph) -> Option<Warning> {
     let mut stretches = stretches(network);
     if stretches.is_empty() {
@@ -85,9 +86,7 @@ impl Stretch {
         let mut ways: Vec<f64> = own
             .iter()
             .filter(|section| section.offset < CENTRED * section.radius)
-            .filter_map(|section| {
-                self.way_to(&graph.branches[section.branch].points[section.place], section.radius)
-            })
+            .filter_map(|section| self.way_to(&graph.branches[section.branch].points[section.place]))
             .collect();
         ways.extend([0.0, self.length]);
         ways.sort_unstable_by(f64::total_cmp);
@@ -95,7 +94,7 @@ impl Stretch {
     }
 
     /// How far along it a point lies that is near it.
-    fn way_to(&self, point: &Point3<f64>, radius: f64) -> Option<f64> {
+    fn way_to(&self, point: &Point3<f64>) -> Option<f64> {
         let mut way = 0.0;
         let mut nearest: Option<(f64, f64)> = None;
         for pair in self.points.windows(2) {
@@ -103,7 +102,7 @@ impl Stretch {
             let share =
                 ((point - pair[0]).dot(&step) / step.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
             let away = (point - (pair[0] + step * share)).norm();
-            if away < nearest.map_or(BESIDE * radius, |(least, _)| least) {
+            if away < nearest.map_or(BESIDE * self.radius, |(least, _)| least) {
                 nearest = Some((away, way + share * step.norm()));
             }
             way += step.norm();
@@ -155,8 +154,8 @@ mod tests {
 
     #[test]
     fn long_gaps_are_told_where_the_line_shows_no_sections_either() {
-        let check = |until: f64, radius: f64, aside: f64| {
-            let surface = closed_surface(&capsule(radius, 20.0, 32));
+        let check = |until: f64, aside: f64| {
+            let surface = closed_surface(&capsule(1.0, 20.0, 32));
             let points = (0..=40).map(|i| Point3::new(aside, 0.0, 0.5 * f64::from(i))).collect();
             let line = Branch::new(0, 1, points, vec![1.0; 41]);
             let node = |z: f64| Node {
@@ -172,10 +171,10 @@ mod tests {
             };
             super::check(&network(until), &TriangleGrid::new(&surface), &graph)
         };
-        assert_eq!(check(9.0, 1.0, 0.4), None);
-        let warning = check(12.0, 1.0, 0.4).unwrap();
+        assert_eq!(check(9.0, 0.4), None);
+        let warning = check(12.0, 0.4).unwrap();
         assert_eq!(warning.code, "bridged");
         assert!(warning.detail.starts_with("1 stretches"), "{}", warning.detail);
-        assert_eq!(check(12.0, 1.0, 0.1), None, "it lies in the middle of the vessel");
+        assert_eq!(check(12.0, 0.05), None, "it lies in the middle of the vessel");
     }
 }

@@ -40,7 +40,8 @@ pub struct FocalPlaces {
 
 /// The line with its focal places told anew; `None` where there are none. `sections` are the line's own.
 ///
-/// O(sections), and for each focal place O(its sections x (triangles crossed + its sections + points of the branch)).
+/// O(sections), and for each focal place O(its sections x (triangles crossed + its sections + points of the branch)); once more
+/// where some are dropped.
 ///
 /// # Errors
 /// [`ExtractError::Cancelled`].
@@ -50,61 +51,100 @@ pub fn told_anew(
     graph: &ComponentGraph,
     cancel: &CancelToken,
 ) -> Result<Option<FocalPlaces>, ExtractError> {
-    let noise = noise(sections, graph);
-    let look = |graph: &ComponentGraph, windows: &[Window]| {
-        cancel.check()?;
-        let planes: Vec<Plane> = windows.iter().flat_map(Window::planes).collect();
-        let seen = own_sections_in(grid, &LineTree::new(graph), graph, &planes);
-        let profile = |window: &Window| {
-            let before =
-                |place: usize| seen.partition_point(|s| (s.branch, s.place) < (window.branch, place));
-            let here = before(window.places.start)..before(window.places.end);
-            Profile::of(window, &seen[here], graph, noise[window.branch])
-        };
-        Ok::<Vec<Profile>, ExtractError>(windows.par_iter().map(profile).collect())
-    };
-    let suspects = suspects(grid, sections, graph, &noise);
-    if suspects.is_empty() {
-        return Ok(None);
-    }
-    let (finer, windows) = with_points(graph, &suspects);
-    let seen = look(&finer, &windows)?.into_iter().zip(suspects);
-    let refuted = seen.filter(|(profile, _)| profile.share > 0.0);
-    let mut stretches: Vec<Stretch> = refuted
-        .map(|(profile, stretch)| Stretch { step: stretch.step.min(FINE * profile.least), ..stretch })
-        .collect();
+    let told = Told { grid, sections, graph, noise: noise(sections, graph), cancel };
+    let mut stretches = told.refuted()?;
     while !stretches.is_empty() {
-        let (mut finer, windows) = with_points(graph, &stretches);
-        for _ in 0..MOVES {
-            for (window, profile) in windows.iter().zip(look(&finer, &windows)?) {
-                profile.move_points(window, &mut finer);
-            }
-        }
-        let mut branches: Vec<usize> = stretches.iter().map(|stretch| stretch.branch).collect();
-        branches.dedup();
-        let moved = own_sections(grid, &LineTree::new(&finer), &finer, branches.iter().copied());
-        let strayed = |(window, stretch): (&Window, &Stretch)| {
-            offset(window.of(&moved)) > offset(stretch.of(sections, graph)).max(CENTRED)
-        };
-        let strayed: Vec<bool> = windows.iter().zip(&stretches).map(strayed).collect();
+        let (mut finer, windows) = told.moved(&stretches)?;
+        let strayed = told.strayed(&stretches, &finer, &windows);
         if strayed.contains(&true) {
-            // What came off the middle of its vessel by that stays as it was told, and is warned of.
+            // What comes off the middle of its vessel by that stays as it was told.
             let mut strayed = strayed.into_iter();
             stretches.retain(|_| strayed.next() != Some(true));
             continue;
         }
-        for (window, profile) in windows.iter().zip(look(&finer, &windows)?) {
-            profile.set_radii(window, grid, noise[window.branch], &mut finer);
+        for (window, profile) in windows.iter().zip(told.look(&finer, &windows)?) {
+            profile.set_radii(window, grid, told.noise[window.branch], &mut finer);
         }
-        return Ok(Some(FocalPlaces { graph: finer, branches }));
+        return Ok(Some(FocalPlaces { graph: finer, branches: branches(&stretches) }));
     }
     Ok(None)
 }
 
-/// Mean distance of a line from the middles of its sections, in their radii; 0 where there are none.
-fn offset<'a>(sections: impl Iterator<Item = &'a OwnSection>) -> f64 {
+/// A line as it was told, and the surface that it is held against.
+struct Told<'a> {
+    grid: &'a TriangleGrid<'a>,
+    /// The line's own.
+    sections: &'a [OwnSection],
+    graph: &'a ComponentGraph,
+    /// Of each branch.
+    noise: Vec<f64>,
+    cancel: &'a CancelToken,
+}
+
+impl Told<'_> {
+    /// What the sections of a line tell in its windows.
+    fn look(&self, graph: &ComponentGraph, windows: &[Window]) -> Result<Vec<Profile>, ExtractError> {
+        self.cancel.check()?;
+        let planes: Vec<Plane> = windows.iter().flat_map(Window::planes).collect();
+        let seen = own_sections_in(self.grid, &LineTree::new(graph), graph, &planes);
+        let profile =
+            |window: &Window| Profile::of(window, window.of(&seen), graph, self.noise[window.branch]);
+        Ok(windows.par_iter().map(profile).collect())
+    }
+
+    /// The stretches where sections tell another radius.
+    fn refuted(&self) -> Result<Vec<Stretch>, ExtractError> {
+        let suspects = suspects(self.grid, self.sections, self.graph, &self.noise);
+        if suspects.is_empty() {
+            return Ok(suspects);
+        }
+        let (finer, windows) = with_points(self.graph, &suspects);
+        let seen = self.look(&finer, &windows)?.into_iter().zip(suspects);
+        let refuted = seen.filter(|(profile, _)| profile.share > 0.0);
+        let fine = |(profile, stretch): (Profile, Stretch)| Stretch {
+            step: stretch.step.min(FINE * profile.least),
+            ..stretch
+        };
+        Ok(refuted.map(fine).collect())
+    }
+
+    /// The line through the middles of the sections in some stretches, and where those are.
+    fn moved(&self, stretches: &[Stretch]) -> Result<(ComponentGraph, Vec<Window>), ExtractError> {
+        let (mut finer, windows) = with_points(self.graph, stretches);
+        for _ in 0..MOVES {
+            for (window, profile) in windows.iter().zip(self.look(&finer, &windows)?) {
+                profile.move_points(window, &mut finer);
+            }
+        }
+        Ok((finer, windows))
+    }
+
+    /// Of each stretch, whether the line as it was moved lies farther from the middles of its sections than before, or shows
+    /// none any more.
+    fn strayed(&self, stretches: &[Stretch], moved: &ComponentGraph, windows: &[Window]) -> Vec<bool> {
+        let of_branches = branches(stretches).into_iter();
+        let seen = own_sections(self.grid, &LineTree::new(moved), moved, of_branches);
+        let one = |(window, stretch): (&Window, &Stretch)| {
+            let before = offset(stretch.of(self.sections, self.graph));
+            before.is_some_and(|before| {
+                offset(window.of(&seen).iter()).is_none_or(|after| after > before.max(CENTRED))
+            })
+        };
+        windows.iter().zip(stretches).map(one).collect()
+    }
+}
+
+/// The branches that some stretches are of.
+fn branches(stretches: &[Stretch]) -> Vec<usize> {
+    let mut branches: Vec<usize> = stretches.iter().map(|stretch| stretch.branch).collect();
+    branches.dedup();
+    branches
+}
+
+/// Mean distance of a line from the middles of its sections, in their radii; `None` where there are none.
+fn offset<'a>(sections: impl Iterator<Item = &'a OwnSection>) -> Option<f64> {
     let (sum, count) = sections.fold((0.0, 0), |(sum, count), s| (sum + s.offset / s.radius, count + 1));
-    sum / f64::from(count.max(1))
+    (count > 0).then(|| sum / f64::from(count))
 }
 
 #[cfg(test)]

@@ -58,11 +58,10 @@ pub struct Window {
 }
 
 impl Window {
-    /// Those of a line's own sections that lie in it.
-    pub fn of<'a>(&'a self, sections: &'a [OwnSection]) -> impl Iterator<Item = &'a OwnSection> {
-        sections
-            .iter()
-            .filter(|section| section.branch == self.branch && self.places.contains(&section.place))
+    /// Those of a line's own sections, in their order, that lie in it.
+    pub fn of<'a>(&self, sections: &'a [OwnSection]) -> &'a [OwnSection] {
+        let before = |place: usize| sections.partition_point(|s| (s.branch, s.place) < (self.branch, place));
+        &sections[before(self.places.start)..before(self.places.end)]
     }
 
     pub fn planes(&self) -> impl Iterator<Item = Plane> + '_ {

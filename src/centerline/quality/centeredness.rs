@@ -47,8 +47,8 @@ impl Offsets {
             return Some(Warning {
                 code: "off-center",
                 detail: format!(
-                    "the line of component {index} lies {:.2} radii beside the middle of its vessel at [{:.4}, {:.4}, {:.4}], as \
-                     where it misses a narrow place",
+                    "the line of component {index} lies {:.2} radii beside the middle of its vessel, which is [{:.4}, {:.4}, {:.4}] \
+                     there, as it does where it misses a narrow place",
                     self.max, at.x, at.y, at.z
                 ),
             });
