@@ -135,4 +135,11 @@ fn the_sample_is_what_its_command_makes() {
     assert!(apart.fold(0.0, f64::max) < 1e-4, "the same but for the rounding of other machines");
     let lines = [root(), folder.path()].map(|folder| document(&folder.join("samples/tree.json")));
     assert_eq!(lines[0].branches.len(), lines[1].branches.len());
+    let radii =
+        |line: &ResultDocument| line.nodes.iter().map(|node| node.equivalent_radius).collect::<Vec<_>>();
+    assert_eq!(radii(&lines[0]).len(), radii(&lines[1]).len());
+    assert!(
+        radii(&lines[0]).iter().zip(radii(&lines[1])).all(|(a, b)| (a - b).abs() < 1e-4),
+        "of this version"
+    );
 }
