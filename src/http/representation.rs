@@ -8,7 +8,6 @@ use utoipa::openapi::schema::{Object, ObjectBuilder, Type};
 
 use super::problem::{Details, Problem};
 use crate::jobs::{Job, JobStatus, Priority};
-use crate::output::OutputFormat;
 
 /// RFC 3339 in UTC with milliseconds, as the store keeps them.
 const RFC3339_MILLIS: iso8601::EncodedConfig = iso8601::Config::DEFAULT
@@ -113,8 +112,7 @@ impl From<&Job> for StatusDocument {
         let path = job_path(job);
         let mut links = vec![Link::new("self", path.clone())];
         if job.status == JobStatus::Successful {
-            let is_there = |format: &&OutputFormat| job.artifacts.iter().any(|made| made.format == **format);
-            links.extend(OutputFormat::ALL.iter().filter(is_there).map(|format| Link {
+            links.extend(job.forms().map(|format| Link {
                 rel: "results",
                 href: format!("{path}/results/centerline.{}", format.extension()),
                 kind: format.media_type(),
@@ -148,6 +146,7 @@ pub(super) fn rfc3339(millis: i64) -> String {
 mod tests {
     use super::*;
     use crate::jobs::{Coding, JobError, JobId, JobSpec, StoredArtifact, StoredInput};
+    use crate::output::OutputFormat;
 
     #[test]
     fn a_job_of_an_older_version_links_to_the_forms_that_it_has() {

@@ -268,6 +268,12 @@ pub struct Job {
 }
 
 impl Job {
+    /// The forms that its result is there in: fewer than [all](OutputFormat::ALL) where an older version made it.
+    pub fn forms(&self) -> impl Iterator<Item = OutputFormat> {
+        let is_there = |format: &OutputFormat| self.artifacts.iter().any(|made| made.format == *format);
+        OutputFormat::ALL.into_iter().filter(is_there)
+    }
+
     /// A job that waits for its first run.
     pub fn accepted(id: JobId, input: StoredInput, spec: JobSpec, now: i64) -> Self {
         Self {

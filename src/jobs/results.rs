@@ -190,32 +190,30 @@ impl JobService {
         format: OutputFormat,
         codings: &[Coding],
     ) -> Result<StoredArtifact, JobError> {
-        let artifacts = self.artifacts(id).await?;
+        let job = self.successful(id).await?;
         let of = |coding: &Coding| {
-            let mut forms = artifacts.iter();
+            let mut forms = job.artifacts.iter();
             forms.find(|artifact| (artifact.format, artifact.coding) == (format, *coding)).cloned()
         };
         codings.iter().find_map(of).ok_or(JobError::NoSuchResult { id, format })
     }
 
-    /// The forms that a successful job's result is there in: fewer than [all](OutputFormat::ALL) where an older version made it.
+    /// The [forms](Job::forms) of a successful job's result.
     ///
     /// # Errors
     /// Those of [`JobService::result`].
     pub async fn result_forms(&self, id: JobId) -> Result<Vec<OutputFormat>, JobError> {
-        let artifacts = self.artifacts(id).await?;
-        let is_there = |format: &OutputFormat| artifacts.iter().any(|artifact| artifact.format == *format);
-        Ok(OutputFormat::ALL.into_iter().filter(is_there).collect())
+        Ok(self.successful(id).await?.forms().collect())
     }
 
-    /// What a successful job has made.
-    async fn artifacts(&self, id: JobId) -> Result<Vec<StoredArtifact>, JobError> {
+    /// A job that has a result.
+    async fn successful(&self, id: JobId) -> Result<Job, JobError> {
         let job = self.row(id).await?;
         if job.purging.is_some() {
             return Err(JobError::Purging { id });
         }
         match (job.status, job.error) {
-            (JobStatus::Successful, _) => Ok(job.artifacts),
+            (JobStatus::Successful, error) => Ok(Job { error, ..job }),
             (JobStatus::Failed, Some(failure)) => Err(JobError::Failed { id, failure: Box::new(failure) }),
             (JobStatus::Dismissed, _) => Err(JobError::Dismissed { id }),
             (status, _) => Err(JobError::NotReady { id, status }),

@@ -25,15 +25,14 @@ pub fn write_vtp(document: &ResultDocument) -> Result<Vec<u8>, OutputError> {
          NumberOfLines=\"{}\" NumberOfStrips=\"0\" NumberOfPolys=\"0\">\n",
         branches.len()
     );
-    let inscribed = |branch: &BranchRecord| branch.radii.clone();
-    // A document that knows spheres alone has circles for sections.
-    let equivalent = |branch: &BranchRecord| match branch.equivalent_radii.len() {
-        0 => branch.radii.clone(),
-        _ => branch.equivalent_radii.clone(),
-    };
     text.push_str("<PointData Scalars=\"MaximumInscribedSphereRadius\">\n");
-    array(&mut text, "Float64", "MaximumInscribedSphereRadius", branches.iter().flat_map(inscribed));
-    array(&mut text, "Float64", "EquivalentRadius", branches.iter().flat_map(equivalent));
+    array(
+        &mut text,
+        "Float64",
+        "MaximumInscribedSphereRadius",
+        branches.iter().flat_map(|branch| &branch.radii),
+    );
+    array(&mut text, "Float64", "EquivalentRadius", branches.iter().flat_map(equivalent_radii));
     text.push_str("</PointData>\n<CellData>\n");
     array(&mut text, "Int64", "BranchId", branches.iter().map(|branch| branch.id));
     array(&mut text, "Int64", "FromNode", branches.iter().map(|branch| branch.from));
@@ -50,6 +49,11 @@ pub fn write_vtp(document: &ResultDocument) -> Result<Vec<u8>, OutputError> {
     array(&mut text, "Int64", "offsets", ends);
     text.push_str("</Lines>\n</Piece>\n</PolyData>\n</VTKFile>\n");
     Ok(text.into_bytes())
+}
+
+/// Those of a branch; a document that knows spheres alone has circles for sections.
+fn equivalent_radii(branch: &BranchRecord) -> &[f64] {
+    if branch.equivalent_radii.is_empty() { &branch.radii } else { &branch.equivalent_radii }
 }
 
 /// One `DataArray`; its type may carry further attributes. `Debug` writes the smallest and largest numbers with an exponent.
