@@ -115,7 +115,7 @@ fn the_extension_chooses_the_format_and_threads_change_no_byte() {
     assert_eq!(gltf["meshes"][0]["primitives"].as_array().unwrap().len(), 3);
     let same: Value =
         serde_json::from_slice(&done(folder, &["compare", "a.json", "a.vtp", "--json"]).stdout).unwrap();
-    assert_eq!((&same["o_max"]["absolute"], &same["tips"]["result"]), (&0.0.into(), &3.into()), "{same}");
+    assert!(same["o_max"]["absolute"].as_f64().unwrap() < 1e-12 && same["tips"]["result"] == 3, "{same}");
 }
 
 #[test]

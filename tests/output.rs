@@ -195,7 +195,7 @@ fn vtp_has_every_branch_to_the_last_digit() {
     let array =
         |name: &str| text.split(&format!("\"{name}\" format=\"ascii\">")).nth(1).unwrap().split('<').next();
     assert_eq!(array("EquivalentRadius"), array("MaximumInscribedSphereRadius"));
-    assert!(array("Length").unwrap().ends_with("e-30"), "{:?}", array("Length"));
+    assert!(array("Length").unwrap().contains("e-29"), "{:?}", array("Length"));
 }
 
 #[test]
