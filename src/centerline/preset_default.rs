@@ -152,7 +152,7 @@ fn is_bulge(grid: &TriangleGrid<'_>, track: &mut Track, (tip, at_end): (u32, boo
         at_wall(grid.surface(), track, tip);
         return true;
     }
-    round_bulge(grid, track, !at_end)
+    round_bulge(grid, track, tip, !at_end)
 }
 
 /// From section to section through the gaps between stations, then on to both ends; `caps` says which of them are tips.

@@ -188,3 +188,63 @@ fn a_surface_of_any_size_is_refused_by_its_size() {
         }
     }
 }
+
+/// Draws the middle of a facet, shrunk to a share `width` of it, out of the wall, and closes the rest of the facet around it;
+/// the three new vertices.
+fn drawn_out(mesh: &mut TriangleMesh, facet: usize, width: f64, height: f64) -> [u32; 3] {
+    let outer = mesh.triangles[facet];
+    let corners = outer.map(|v| mesh.vertices[v as usize]);
+    let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).normalize();
+    let middle = Point3::from(corners.iter().map(|p| p.coords).sum::<Vector3<f64>>() / 3.0);
+    let first = mesh.vertices.len() as u32;
+    mesh.vertices.extend(corners.map(|corner| middle + (corner - middle) * width + normal * height));
+    let inner = [first, first + 1, first + 2];
+    mesh.triangles.remove(facet);
+    for k in 0..3 {
+        let next = (k + 1) % 3;
+        mesh.triangles.extend([[outer[k], outer[next], inner[k]], [outer[next], inner[next], inner[k]]]);
+    }
+    inner
+}
+
+/// As meshes of segmented images have them: many times as high as it is wide, and no higher than a facet is long.
+#[test]
+fn a_needle_on_the_wall_is_no_branch() {
+    for width in [0.02, 0.1] {
+        let needle = |mesh: &mut TriangleMesh| {
+            let mut top = drawn_out(mesh, 1401, width, 0.0);
+            for _ in 0..5 {
+                mesh.triangles.push(top);
+                top = drawn_out(mesh, mesh.triangles.len() - 1, 0.9, 0.04);
+            }
+            mesh.triangles.push(top);
+        };
+        survives(needle, &[]);
+    }
+}
+
+/// A handle no larger than a facet is one loop of the line, and the vessel's own line is none the worse for it.
+#[test]
+fn a_strand_beside_the_wall_leaves_the_vessels_line_alone() {
+    for width in [1e-4, 0.02, 0.1] {
+        let mut mesh = tube();
+        let from = drawn_out(&mut mesh, 1405, width, 0.05);
+        let to = drawn_out(&mut mesh, 1401, width, 0.05);
+        for k in 0..3 {
+            let (next, [a, b]) = ((k + 1) % 3, [(3 - k) % 3, (2 - k) % 3]);
+            mesh.triangles.extend([[from[k], from[next], to[a]], [from[next], to[b], to[a]]]);
+        }
+        let found = line_of(&mesh);
+        assert_eq!(
+            (ends_and_junctions(&found.centerline).0, parts_and_loops(&found.centerline)),
+            (2, (1, 1)),
+            "{width}"
+        );
+        let lost =
+            found.warnings.iter().filter(|w| ["outside", "wall-without-line", "bridged"].contains(&w.code));
+        assert_eq!(lost.count(), 0, "{width}: {:?}", found.warnings);
+        let beside =
+            |z: f64| points(&found.centerline).any(|(p, _)| p.x.hypot(p.y) < 0.05 && (p.z - z).abs() < 0.3);
+        assert!((0..=40).all(|i| beside(0.5 * f64::from(i))), "{width}");
+    }
+}

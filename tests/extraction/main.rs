@@ -11,6 +11,7 @@ mod known_ends;
 mod lines;
 mod picks;
 mod properties;
+mod sacs;
 mod sections;
 mod surfaces;
 mod topology;

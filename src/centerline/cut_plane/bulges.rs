@@ -6,12 +6,24 @@ use nalgebra::{Matrix3, Matrix4, Point3, Unit, Vector3, Vector4};
 
 use crate::mesh::preparation::Surface;
 
+use crate::centerline::cut_plane::dome::{DomeWall, deviation, standing_dome};
 use crate::centerline::segmentation::track::{Bulge, SPACING, Sight, Station, Track};
 use crate::centerline::triangle_grid::TriangleGrid;
 
-/// Finds a bulge by its level sets alone, whatever sections could be cut through it and the vessel
-/// together, and draws its line; returns whether it is one.
-pub fn round_bulge(grid: &TriangleGrid<'_>, track: &mut Track, tip_first: bool) -> bool {
+/// Finds the bulge that a leaf is, whatever sections could be cut through it and the vessel together, and draws its line;
+/// returns whether it is one. By its wall; where that is no whole sphere, by its level sets.
+pub fn round_bulge(grid: &TriangleGrid<'_>, track: &mut Track, tip: u32, tip_first: bool) -> bool {
+    let Some(base) = (if tip_first { track.rings.last() } else { track.rings.first() }) else { return false };
+    let joint = base.centroid;
+    let by_wall = standing_dome(grid, tip, &joint);
+    let Some(bulge) = by_wall.or_else(|| bulge_by_levels(grid, track, tip, tip_first)) else { return false };
+    track.bulge = Some(bulge);
+    track.stations = line_through(grid, track, &joint, &bulge.centre, !tip_first);
+    true
+}
+
+/// The sac whose sphere all level sets of a leaf lie on.
+fn bulge_by_levels(grid: &TriangleGrid<'_>, track: &Track, tip: u32, tip_first: bool) -> Option<Bulge> {
     /// Largest deviation (root mean square) of the wall from its sphere, in radii. Sacs of the phantoms
     /// have up to 0.04, stumps of tubes 0.10 and more.
     const DEVIATION: f64 = 0.06;
@@ -21,23 +33,20 @@ pub fn round_bulge(grid: &TriangleGrid<'_>, track: &mut Track, tip_first: bool) 
     const FLAT: f64 = 2.0;
     /// How far from the middle its wall may be, in radii.
     const NEAR: f64 = 1.3;
-    let points: Vec<Point3<f64>> = track.rings.iter().flat_map(|ring| ring.points.iter().copied()).collect();
-    let Some((centre, radius)) = sphere_through(&points, |_| 1.0) else { return false };
-    let (Some(first), Some(last)) = (track.rings.first(), track.rings.last()) else { return false };
-    let (tip, base) = if tip_first { (first, last) } else { (last, first) };
-    let deviation = |p: &Point3<f64>| ((p - centre).norm() / radius - 1.0).powi(2);
-    let rough = (points.iter().map(deviation).sum::<f64>() / points.len() as f64).sqrt();
-    let height = (tip.centroid - base.centroid).norm();
-    if rough > DEVIATION || height > HEIGHT * radius || radius > FLAT * base.radius() {
-        return false;
+    let rings = &track.rings;
+    let points: Vec<Point3<f64>> = rings.iter().flat_map(|ring| ring.points.iter().copied()).collect();
+    let sphere @ (centre, radius) = sphere_through(&points, |_| 1.0)?;
+    let (first, last) = (rings.first()?, rings.last()?);
+    let base = if tip_first { last } else { first };
+    let height = (first.centroid - last.centroid).norm();
+    let is_round = deviation(&points, &sphere) <= DEVIATION && height <= HEIGHT * radius;
+    if !is_round || radius > FLAT * base.radius() {
+        return None;
     }
-    let joint = base.centroid;
     // A front covers a sac's sides unevenly: its whole wall counts.
-    let wall = grid.vertices_within(&centre, NEAR * radius);
-    let (centre, radius) = dome(&wall, (centre, radius));
-    track.bulge = Some(Bulge { centre, radius });
-    track.stations = line_through(grid, track, &joint, &centre, !tip_first);
-    true
+    let sphere @ (centre, radius) = dome(&grid.vertices_within(&centre, NEAR * radius), sphere);
+    let neck = DomeWall::around(grid.surface(), tip, &sphere).neck(grid.surface());
+    Some(Bulge { centre, radius, neck })
 }
 
 /// Makes a track a small ball that touches the wall at its tip: an end that was asked for on the side of a vessel has
@@ -49,7 +58,7 @@ pub fn at_wall(surface: &Surface, track: &mut Track, tip: u32) {
     let radius = spokes.iter().map(Vector3::norm).sum::<f64>() / spokes.len().max(1) as f64;
     let normal: Vector3<f64> = surface.corners.star(tip).map(|h| surface.mesh.area_vector(h / 3)).sum();
     let inward = -normal.try_normalize(0.0).unwrap_or_else(Vector3::zeros);
-    track.bulge = Some(Bulge { centre: place + inward * radius, radius });
+    track.bulge = Some(Bulge { centre: place + inward * radius, radius, neck: Vector3::zeros() });
     track.stations.clear();
 }
 
@@ -104,8 +113,9 @@ fn dome(points: &[Point3<f64>], first: (Point3<f64>, f64)) -> (Point3<f64>, f64)
     sphere
 }
 
-/// Weighted least squares sphere: centre and radius (algebraic fit, about the points' mean).
-fn sphere_through(
+/// Weighted least squares sphere: centre and radius (algebraic fit, about the points' mean); `None` for fewer than eight
+/// points and for those of a plane.
+pub fn sphere_through(
     points: &[Point3<f64>],
     weight: impl Fn(&Point3<f64>) -> f64,
 ) -> Option<(Point3<f64>, f64)> {

@@ -25,6 +25,8 @@ const LIGHT: f64 = 1.0;
 /// Widest section against the level set beside it: that goes around the same wall, aslant or not, so a section much
 /// wider takes in more.
 const WIDE: f64 = 1.3;
+/// Narrowest section against it: a fold of slivers has sections of no area.
+const THIN: f64 = 0.05;
 /// A section rounder than this (largest over smallest distance) may be the first to be trusted.
 const ROUND: f64 = 1.6;
 
@@ -60,8 +62,8 @@ pub fn settle(surface: &Surface, track: &mut Track) {
             };
             let measure = cut.measure();
             station.sight = Sight::Lost;
-            let wide = WIDE * rings[station.ring].radius();
-            if !(cut.encloses(&measure.centroid) && measure.radius() < wide) {
+            let usual = [THIN, WIDE].map(|times| times * rings[station.ring].radius());
+            if !(cut.encloses(&measure.centroid) && (usual[0]..usual[1]).contains(&measure.radius())) {
                 continue;
             }
             if round < SETTLING {

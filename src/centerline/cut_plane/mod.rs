@@ -2,6 +2,7 @@
 
 pub mod bulges;
 pub mod cross_sections;
+pub mod dome;
 pub mod march;
 pub mod normal_lines;
 pub mod ownership;

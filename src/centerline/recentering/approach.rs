@@ -1,6 +1,6 @@
 //! A branch's line where it runs toward a joint, continued past its last section.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Point3;
 
 use crate::centerline::connection::network::Network;
 use crate::centerline::laplacian_smoothing::continuation::{Continuation, Seen};
@@ -19,7 +19,7 @@ pub struct Approach {
     pub line: Continuation,
     /// Radius of its last section.
     pub radius: f64,
-    /// A bulge says where along the vessel it sits, not where the axis is.
+    /// A bulge: its line is the axis through its neck, where it shows one.
     pub bulge: bool,
 }
 
@@ -27,8 +27,8 @@ impl Approach {
     /// The line at the end of a track, from the stations that see their wall; `before` are those of the
     /// vessel that the track continues.
     pub fn of(track: &Track, before: &[Seen]) -> Option<Self> {
-        if let Some(Bulge { centre, radius }) = track.bulge {
-            let line = Continuation::straight(centre, Vector3::zeros(), radius);
+        if let Some(Bulge { centre, radius, neck }) = track.bulge {
+            let line = Continuation::straight(centre, neck, radius);
             return Some(Self { line, radius, bulge: true });
         }
         let last = track.stations.iter().rposition(seen_well)?;
@@ -43,7 +43,7 @@ impl Approach {
 
     /// A line of which no more is known than a place and a direction.
     #[cfg(test)]
-    pub fn straight(point: Point3<f64>, direction: Vector3<f64>, radius: f64) -> Self {
+    pub fn straight(point: Point3<f64>, direction: nalgebra::Vector3<f64>, radius: f64) -> Self {
         Self { line: Continuation::straight(point, direction, radius), radius, bulge: false }
     }
 

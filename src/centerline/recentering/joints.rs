@@ -19,8 +19,11 @@ use crate::centerline::segmentation::track::{
     SPACING, Sight, Station, Track, section_from_rings, update_tangents,
 };
 
-/// The point nearest to all the approaches; `prior` holds what they leave open.
+/// The point nearest to all the approaches; `prior` holds what they leave open, and stands where they lead far away
+/// together, as tangled short branches may.
 pub fn joint_centre(approaches: &[Approach], prior: &Point3<f64>) -> Point3<f64> {
+    /// How far past the farthest approach's start the centre may lie from the prior, in the largest radius.
+    const ASTRAY: f64 = 4.0;
     let Some(largest) = approaches.iter().map(|a| a.radius).max_by(f64::total_cmp) else { return *prior };
     let hold = 1.0 / (2.0 * largest).powi(2);
     let mut centre = *prior;
@@ -30,11 +33,10 @@ pub fn joint_centre(approaches: &[Approach], prior: &Point3<f64>) -> Point3<f64>
         let Some(inverse) = held.try_inverse() else { return centre };
         centre = Point3::from(inverse * (right + prior.coords * hold));
     }
-    centre
+    let starts = approaches.iter().map(|approach| (approach.line.at(0.0).0 - prior).norm());
+    let reach = starts.fold(0.0, f64::max) + ASTRAY * largest;
+    if (centre - prior).norm() < reach { centre } else { *prior }
 }
-
-/// How well a bulge's middle says where along the vessel it sits, in its radii.
-const BULGE: f64 = 0.02;
 
 /// What the approaches say of a centre near `centre`: the matrix and the right side of its normal equations.
 pub fn information(approaches: &[Approach], centre: &Point3<f64>) -> (Matrix3<f64>, Vector3<f64>) {
@@ -45,9 +47,9 @@ pub fn information(approaches: &[Approach], centre: &Point3<f64>) -> (Matrix3<f6
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for (number, (approach, &s)) in approaches.iter().zip(&places).enumerate() {
         if approach.bulge {
-            let level = through * through.transpose() / (BULGE * approach.radius).powi(2);
-            normal += level;
-            right += level * approach.line.at(0.0).0.coords;
+            let (own, of_middle) = of_bulge(approach, &through, centre);
+            normal += own;
+            right += own * of_middle;
             continue;
         }
         let (point, _) = approach.line.at(s);
@@ -58,6 +60,31 @@ pub fn information(approaches: &[Approach], centre: &Point3<f64>) -> (Matrix3<f6
         right += across * point.coords;
     }
     (normal, right)
+}
+
+/// What a bulge says of a centre near `centre`, and the place that it says it of: the axis through its neck leads there, and
+/// one that stands on the side of a vessel stands square to it.
+fn of_bulge(
+    approach: &Approach,
+    through: &Vector3<f64>,
+    centre: &Point3<f64>,
+) -> (Matrix3<f64>, Vector3<f64>) {
+    /// How well its middle says where along a vessel it sits, in its radii.
+    const LEVEL: f64 = 0.02;
+    /// Cosine between its neck and the vessel beyond which it stands on no side of it.
+    const LEAN: f64 = 0.12;
+    /// Deviation of its neck's direction (radians).
+    const AXIS: f64 = 0.05;
+    let (middle, neck) = approach.line.at(0.0);
+    let lean = neck.dot(through) / LEAN;
+    let square = (-lean * lean).exp() / (LEVEL * approach.radius).powi(2);
+    let level = through * through.transpose() * square;
+    if neck == Vector3::zeros() {
+        return (level, middle.coords);
+    }
+    let doubt = AXIS * (centre - middle).norm().max(approach.radius);
+    let across = (Matrix3::identity() - neck * neck.transpose()) / (doubt * doubt);
+    (level + across, middle.coords)
 }
 
 /// The direction of one of the lines, agreed upon with the line that continues it: where two cross at a

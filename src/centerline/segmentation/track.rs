@@ -74,6 +74,8 @@ impl Station {
 pub struct Bulge {
     pub centre: Point3<f64>,
     pub radius: f64,
+    /// Unit direction from its centre through its neck; zero where its wall shows none.
+    pub neck: Vector3<f64>,
 }
 
 /// One branch: stations in order from `from` to `to`.

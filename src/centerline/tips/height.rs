@@ -65,6 +65,9 @@ impl Pruning<'_> {
         let beside = self.behind_throat(base, arcs, (sibling, radius));
         let height = height - self.rise_of_cap(leaf);
         let sample = self.sample(first, leaf);
+        if self.is_needle(first, (radius, sibling), height) {
+            return false;
+        }
         let least = (tip_height * radius.min(beside)).max(SAMPLES * sample);
         if let Some(met) = self.met_below(base, arcs, radius.min(beside)) {
             return height >= least && self.over_fronts(met, leaf) >= least;
@@ -81,6 +84,17 @@ impl Pruning<'_> {
         is_narrow && self.reaches(arcs, leaf, least)
             || climbed
                 && over().is_some_and(|(over, radius)| over >= (tip_height * radius).max(SAMPLES * sample))
+    }
+
+    /// Whether a leaf is a fold of a few slivers of the mesh: hardly as high as the mesh is fine, it is many times as high
+    /// as it is wide.
+    fn is_needle(&self, first: u32, (radius, sibling): (f64, f64), height: f64) -> bool {
+        /// Most edges around its base, and its greatest width and height in radii of the vessel beside it.
+        const EDGES: u32 = 12;
+        const WIDE: f64 = 0.05;
+        const HIGH: f64 = 0.25;
+        let edges = self.graph.arcs[first as usize].base_edges;
+        edges < EDGES && sibling.is_finite() && radius < WIDE * sibling && height < HIGH * sibling
     }
 
     /// The opening whose centre a node is.

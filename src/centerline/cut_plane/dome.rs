@@ -1,0 +1,197 @@
+//! The dome of a sac: how much of a sphere its wall covers, and where it leaves it.
+//!
+//! Level sets tell a sac only where the front came to it from its neck. Its wall tells it from any side: the sphere that
+//! touches the wall at the tip is fitted to all of it that lies in one piece around the tip. A vessel's round end
+//! covers half of its sphere, a sac all but its neck.
+
+use std::f64::consts::PI;
+
+use nalgebra::{Point3, Vector3};
+use rustc_hash::FxHashSet;
+
+use crate::mesh::preparation::Surface;
+
+use crate::centerline::cut_plane::bulges::sphere_through;
+use crate::centerline::segmentation::track::Bulge;
+use crate::centerline::triangle_grid::TriangleGrid;
+
+type Sphere = (Point3<f64>, f64);
+
+/// The sac that a tip lies on; `None` where its wall is no sphere, or where a vessel of its own leads to it from `base`.
+///
+/// O(triangles of the dome).
+pub fn standing_dome(grid: &TriangleGrid<'_>, tip: u32, base: &Point3<f64>) -> Option<Bulge> {
+    /// Least share of the sphere that is wall, and its largest deviation (root mean square) from it, in radii.
+    const SHARE: f64 = 0.75;
+    const DEVIATION: f64 = 0.05;
+    /// The longest way from the base to the dome that shows no sections of its own, in radii of the neck.
+    const STALK: f64 = 4.0;
+    const ROUNDS: usize = 6;
+    let surface = grid.surface();
+    let mut sphere = touching(grid, tip)?;
+    let mut wall = DomeWall::around(surface, tip, &sphere);
+    for _ in 0..ROUNDS {
+        let points = wall.points(surface);
+        sphere = sphere_through(&points, |_| 1.0)?;
+        let next = DomeWall::around(surface, tip, &sphere);
+        let is_same = next.triangles.len() == wall.triangles.len();
+        wall = next;
+        if is_same {
+            break;
+        }
+    }
+    let (centre, radius) = sphere;
+    let share = wall.share(surface, &centre);
+    if share < SHARE || deviation(&wall.points(surface), &sphere) > DEVIATION {
+        return None;
+    }
+    let cosine = (2.0 * share - 1.0).min(1.0);
+    let neck = radius * (1.0 - cosine * cosine).sqrt();
+    let stalk = (base - centre).norm() - radius * cosine;
+    (stalk <= STALK * neck).then(|| Bulge { centre, radius, neck: wall.neck(surface) })
+}
+
+/// The largest sphere inside that touches the wall at a vertex.
+fn touching(grid: &TriangleGrid<'_>, vertex: u32) -> Option<Sphere> {
+    /// What other wall may come nearer by: share of the radius, as vertices lie apart, and of the edges around, as they
+    /// are noisy.
+    const NEARER: f64 = 0.05;
+    const NOISE: f64 = 0.4;
+    const GROWTH: f64 = 1.2;
+    let surface = grid.surface();
+    let place = surface.mesh.vertices[vertex as usize];
+    let around: FxHashSet<u32> =
+        surface.corners.neighbours(vertex).flat_map(|u| surface.corners.star(u)).map(|h| h / 3).collect();
+    // In an order that no hash decides.
+    let mut around: Vec<u32> = around.into_iter().collect();
+    around.sort_unstable();
+    let normal: Vector3<f64> = around.iter().map(|&t| surface.mesh.area_vector(t)).sum();
+    let inward = -normal.try_normalize(0.0)?;
+    let spokes =
+        surface.corners.neighbours(vertex).map(|u| (surface.mesh.vertices[u as usize] - place).norm());
+    let edge = spokes.fold(0.0, f64::max);
+    let mut radius = 2.0 * edge;
+    let longest = surface.diagonal();
+    let mut best = None;
+    while radius < longest {
+        let centre = place + inward * radius;
+        if grid.clearance(&centre) < (1.0 - NEARER) * radius - NOISE * edge {
+            break;
+        }
+        best = Some((centre, radius));
+        radius *= GROWTH;
+    }
+    best
+}
+
+/// Root mean square distance of points from a sphere, in its radii.
+pub fn deviation(points: &[Point3<f64>], (centre, radius): &Sphere) -> f64 {
+    let squares = points.iter().map(|p| ((p - centre).norm() / radius - 1.0).powi(2));
+    (squares.sum::<f64>() / points.len() as f64).sqrt()
+}
+
+/// The wall near a sphere, in one piece around a tip.
+pub struct DomeWall {
+    triangles: Vec<u32>,
+}
+
+impl DomeWall {
+    /// Floods the wall from `tip` as far as it is on the sphere. O(its triangles).
+    pub fn around(surface: &Surface, tip: u32, (centre, radius): &Sphere) -> Self {
+        /// How far off the sphere its wall may be, in radii.
+        const SHELL: f64 = 0.08;
+        let on = |t: u32| {
+            let corners = surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize]);
+            corners.iter().all(|p| ((p - centre).norm() / radius - 1.0).abs() < SHELL)
+        };
+        let mut triangles: Vec<u32> = surface.corners.star(tip).map(|h| h / 3).filter(|&t| on(t)).collect();
+        let mut seen: FxHashSet<u32> = triangles.iter().copied().collect();
+        let mut next = 0;
+        while let Some(&t) = triangles.get(next) {
+            next += 1;
+            for h in 3 * t..3 * t + 3 {
+                let beside = surface.corners.opposite(h) / 3;
+                if !seen.contains(&beside) && on(beside) {
+                    seen.insert(beside);
+                    triangles.push(beside);
+                }
+            }
+        }
+        triangles.sort_unstable();
+        Self { triangles }
+    }
+
+    fn points(&self, surface: &Surface) -> Vec<Point3<f64>> {
+        let mut all: Vec<u32> =
+            self.triangles.iter().flat_map(|&t| surface.mesh.triangles[t as usize]).collect();
+        all.sort_unstable();
+        all.dedup();
+        all.into_iter().map(|v| surface.mesh.vertices[v as usize]).collect()
+    }
+
+    /// Share of the solid angle around `centre` that it fills (van Oosterom and Strackee 1983).
+    fn share(&self, surface: &Surface, centre: &Point3<f64>) -> f64 {
+        let angle = |&t: &u32| {
+            let [a, b, c] =
+                surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize] - centre);
+            let (x, y, z) = (a.norm(), b.norm(), c.norm());
+            let below = x * y * z + a.dot(&b) * z + b.dot(&c) * x + c.dot(&a) * y;
+            2.0 * a.dot(&b.cross(&c)).atan2(below)
+        };
+        self.triangles.iter().map(angle).sum::<f64>() / (4.0 * PI)
+    }
+
+    /// Unit direction through its border, whose area vector closes that of the wall; zero where it has none.
+    pub fn neck(&self, surface: &Surface) -> Vector3<f64> {
+        let wall: Vector3<f64> = self.triangles.iter().map(|&t| surface.mesh.area_vector(t)).sum();
+        (-wall).try_normalize(0.0).unwrap_or_default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::centerline::test_surfaces::{capsule, closed_surface, revolved};
+
+    /// The vertex farthest along z, where all tests have their tip.
+    fn top(surface: &Surface) -> u32 {
+        let z = |v: &u32| surface.mesh.vertices[*v as usize].z;
+        (0..surface.mesh.vertices.len() as u32).max_by(|a, b| z(a).total_cmp(&z(b))).unwrap()
+    }
+
+    /// A tube of radius `neck` along z up to z = 0, and a sphere of radius 1 on it.
+    fn pedunculated(neck: f64) -> Surface {
+        let rise = (1.0 - neck * neck).sqrt();
+        let tube = (0..=40).map(|i| (neck, -4.0 + 0.1 * f64::from(i)));
+        let from = neck.asin();
+        let dome = (1..40).map(|i| {
+            let angle = from + (PI - from) * f64::from(i) / 40.0;
+            (angle.sin(), rise - angle.cos())
+        });
+        let profile: Vec<(f64, f64)> =
+            [(0.0, -4.0)].into_iter().chain(tube).chain(dome).chain([(0.0, rise + 1.0)]).collect();
+        closed_surface(&revolved(&profile, 48))
+    }
+
+    #[test]
+    fn a_sac_is_found_from_its_tip_with_its_neck() {
+        let surface = pedunculated(0.5);
+        let grid = TriangleGrid::new(&surface);
+        let bulge = standing_dome(&grid, top(&surface), &Point3::new(0.0, 0.0, -0.5)).unwrap();
+        let rise = 0.75_f64.sqrt();
+        assert!((bulge.centre - Point3::new(0.0, 0.0, rise)).norm() < 0.02, "{bulge:?}");
+        assert!((bulge.radius - 1.0).abs() < 0.02, "{bulge:?}");
+        assert!((bulge.neck + Vector3::z()).norm() < 1e-3, "{bulge:?}");
+        // A long stalk has sections of its own.
+        assert_eq!(standing_dome(&grid, top(&surface), &Point3::new(0.0, 0.0, -2.5)), None);
+    }
+
+    #[test]
+    fn the_round_end_of_a_vessel_is_no_sac() {
+        let surface = closed_surface(&capsule(1.0, 6.0, 48));
+        let grid = TriangleGrid::new(&surface);
+        let tip = top(&surface);
+        let below = surface.mesh.vertices[tip as usize] - Vector3::z() * 2.0;
+        assert_eq!(standing_dome(&grid, tip, &below), None);
+    }
+}

@@ -1,0 +1,95 @@
+//! Sacs: aneurysms on the side of a vessel and on the apex of a fork.
+
+use nalgebra::{Point3, Vector3};
+use rosaline::mesh::TriangleMesh;
+
+use crate::lines::{ends_and_junctions, line_of, parts_and_loops};
+use crate::surfaces::{from_segment, implicit, mapped, turn};
+
+/// Vessels of such radii from the origin, and a sac of such a centre and radius whose neck leads there; closed, on voxels
+/// of such a side.
+struct Case {
+    legs: Vec<(Vector3<f64>, f64)>,
+    sac: (Vector3<f64>, f64),
+    neck: f64,
+    step: f64,
+}
+
+impl Case {
+    fn mesh(&self) -> TriangleMesh {
+        let (middle, radius) = self.sac;
+        let field = |point: &Point3<f64>| {
+            let leg = |(tip, radius): &(Vector3<f64>, f64)| {
+                from_segment(point, Point3::origin(), Point3::from(*tip)) - radius
+            };
+            let sac = (point.coords - middle).norm() - radius;
+            let neck = from_segment(point, Point3::origin(), Point3::from(middle)) - self.neck;
+            self.legs.iter().map(leg).fold(sac.min(neck), f64::min)
+        };
+        let reach = |side: f64| {
+            let tips = self.legs.iter().chain([&self.sac]).map(|(tip, radius)| tip.add_scalar(side * radius));
+            let far = tips.map(|tip| tip * side).fold(Vector3::repeat(f64::MIN), |a, b| a.sup(&b));
+            (far * side).add_scalar(side * 1.1 * self.step)
+        };
+        implicit(reach(-1.0).into(), reach(1.0).into(), self.step, field)
+    }
+
+    /// The line of the mesh as it is and turned: an end at the pole of each leg and of the dome, one joint, within 0.4
+    /// radii of the widest leg from where all axes meet.
+    fn check(&self, name: &str) {
+        for (turned, mesh) in [(false, self.mesh()), (true, mapped(&self.mesh(), |point| turn() * point))] {
+            let found = line_of(&mesh);
+            let ends = ends_and_junctions(&found.centerline).0;
+            assert_eq!(
+                (ends, parts_and_loops(&found.centerline)),
+                (self.legs.len() + 1, (1, 0)),
+                "{name} {turned}"
+            );
+            let place = |coords: Vector3<f64>| {
+                if turned { turn() * Point3::from(coords) } else { Point3::from(coords) }
+            };
+            let nearest = |place: Point3<f64>| {
+                let away = found.centerline.nodes.iter().map(|node| (node.position - place).norm());
+                away.fold(f64::INFINITY, f64::min)
+            };
+            for (tip, radius) in self.legs.iter().chain([&self.sac]) {
+                let away = nearest(place(tip + tip.normalize() * *radius));
+                assert!(away < 0.25 * radius, "{name} {turned}: no end near {tip:?}, but {away} off");
+            }
+            let widest = self.legs.iter().map(|leg| leg.1).fold(0.0, f64::max);
+            let joint = nearest(place(Vector3::zeros()));
+            assert!(joint < 0.4 * widest, "{name} {turned}: the joint is {joint} off");
+            let joints = found.centerline.nodes.len() - ends;
+            assert_eq!(joints, 1, "{name} {turned}");
+        }
+    }
+}
+
+fn lean(degrees: f64, length: f64) -> Vector3<f64> {
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    Vector3::new(length * sin, 0.0, length * cos)
+}
+
+/// The line left for the dome from one of the two legs beside it, or ended on its side.
+#[test]
+fn a_sac_on_the_apex_of_a_fork_leaves_from_the_fork() {
+    for (legs, sac, neck, step) in [
+        ([85.0, -85.0], (lean(4.0, 5.6), 2.6), 1.3, 0.4),
+        ([70.0, -80.0], (lean(0.0, 4.6), 1.9), 1.2, 0.3),
+        ([95.0, -90.0], (lean(-10.0, 7.2), 4.6), 1.4, 0.4),
+    ] {
+        let daughters = [lean(legs[0], 15.0), lean(legs[1], 15.0)];
+        let legs = vec![(lean(180.0, 14.0), 2.0), (daughters[0], 1.5), (daughters[1], 1.4)];
+        Case { legs, sac, neck, step }.check(&format!("sac of {} on voxels of {step}", sac.1));
+    }
+}
+
+/// Where it is much wider than its vessel the front begins in the sac, and passes its wall from any side.
+#[test]
+fn a_wide_sac_on_the_side_of_a_vessel_stands_square_to_it() {
+    for (radius, neck) in [(2.2, 1.5), (4.0, 1.2), (5.2, 1.4)] {
+        let legs = vec![(lean(90.0, 20.0), 2.0), (lean(-90.0, 20.0), 2.0)];
+        let sac = (lean(0.0, 2.0 + 0.9 * radius), radius);
+        Case { legs, sac, neck, step: 0.4 }.check(&format!("sac of {radius}"));
+    }
+}
