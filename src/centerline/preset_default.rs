@@ -18,6 +18,7 @@ use crate::centerline::cut_plane::stubs::{RINGS, stations_before};
 use crate::centerline::laplacian_smoothing::branch::{choose_stiffness, observe, smooth};
 use crate::centerline::recentering::displaced::settle_displaced;
 use crate::centerline::recentering::ends::reach_ends;
+use crate::centerline::recentering::hidden_radii::widen_before_throats;
 use crate::centerline::recentering::joint_fit::{FittedJoint, FittedLimb, carry_hidden, fit_joint};
 use crate::centerline::recentering::meeting::{aim_bulges, meet_in_joints};
 use crate::centerline::recentering::sweep::recenter_branches;
@@ -92,6 +93,7 @@ fn connect(
     meet_in_joints(grid, &owners, &mut network, control)?;
     recenter_branches(grid, &mut network, control)?;
     fit_joints(grid, &mut network, control)?;
+    widen_before_throats(grid, &mut network);
     control.report(Stage::Connection, 0.0)?;
     let mut result = network.connect();
     let bridged = unsupported::check(&network, grid, &result);

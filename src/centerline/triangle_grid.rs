@@ -118,6 +118,11 @@ impl<'a> TriangleGrid<'a> {
         self.surface
     }
 
+    /// Of the box around the surface, without a look at it.
+    pub fn diagonal(&self) -> f64 {
+        (self.high - self.low).norm()
+    }
+
     /// Whether the surface winds around a point: a ray from it along x leaves more often than it enters.
     ///
     /// Exact for a point in general position, and consistent where the ray meets edges and vertices: an edge

@@ -153,3 +153,27 @@ fn a_throat_of_half_the_radius_bridges_nothing() {
         assert!(off < 0.1 && found.warnings.is_empty(), "{depth} {width}: {off} {:?}", found.warnings);
     }
 }
+
+/// Between the joint of a narrow fork and a throat just behind where its walls part no section shows the branch alone: its
+/// radius went on as narrow as in the throat.
+#[test]
+fn a_throat_close_behind_a_narrow_fork_is_not_told_before_it() {
+    for (half, at, depth) in [(0.28_f64, 6.4, 0.64), (0.26, 7.4, 0.6), (0.28, 7.9, 0.64)] {
+        let along = |side: f64, way: f64| Point3::new(side * half.sin() * way, 0.0, half.cos() * way);
+        let radius = |way: f64| 1.55 * (1.0 - depth * bump(way, at, 1.3));
+        let field = |point: &Point3<f64>| {
+            let trunk = from_segment(point, Point3::new(0.0, 0.0, -14.0), Point3::origin()) - 2.0;
+            let other = from_segment(point, Point3::origin(), along(-1.0, 22.0)) - 1.5;
+            let way = (point - Point3::origin()).dot(&along(1.0, 1.0).coords).clamp(0.0, 22.0);
+            ((point - along(1.0, way)).norm() - radius(way)).min(other).min(trunk)
+        };
+        let line = line_of(&implicit([-9.3, -2.9, -16.9], [9.3, 2.9, 24.2], 0.3, field));
+        assert_eq!(ends_and_junctions(&line.centerline), (3, 1), "{half} {at}");
+        for way in (1..=20).map(f64::from) {
+            let away = |(point, _): &(&Point3<f64>, f64)| (*point - along(1.0, way)).norm();
+            let (_, told) = points(&line.centerline).min_by(|a, b| away(a).total_cmp(&away(b))).unwrap();
+            let share = told / radius(way);
+            assert!((0.6..1.35).contains(&share), "{half} {at}: {share} of the radius at {way}");
+        }
+    }
+}

@@ -13,9 +13,12 @@ use crate::centerline::triangle_grid::TriangleGrid;
 /// Finds the bulge that a leaf is, whatever sections could be cut through it and the vessel together, and draws its line;
 /// returns whether it is one. By its wall; where that is no whole sphere, by its level sets.
 pub fn round_bulge(grid: &TriangleGrid<'_>, track: &mut Track, tip: u32, tip_first: bool) -> bool {
-    let Some(base) = (if tip_first { track.rings.last() } else { track.rings.first() }) else { return false };
-    let joint = base.centroid;
-    let by_wall = standing_dome(grid, tip, &joint);
+    let mut way: Vec<Point3<f64>> = track.rings.iter().map(|ring| ring.centroid).collect();
+    if tip_first {
+        way.reverse();
+    }
+    let Some(&joint) = way.first() else { return false };
+    let by_wall = standing_dome(grid, tip, &way);
     let Some(bulge) = by_wall.or_else(|| bulge_by_levels(grid, track, tip, tip_first)) else { return false };
     track.bulge = Some(bulge);
     track.stations = line_through(grid, track, &joint, &bulge.centre, !tip_first);
@@ -33,6 +36,8 @@ fn bulge_by_levels(grid: &TriangleGrid<'_>, track: &Track, tip: u32, tip_first: 
     const FLAT: f64 = 2.0;
     /// How far from the middle its wall may be, in radii.
     const NEAR: f64 = 1.3;
+    /// Least share of the sphere in one piece around the tip that shows a neck.
+    const MOST: f64 = 0.5;
     let rings = &track.rings;
     let points: Vec<Point3<f64>> = rings.iter().flat_map(|ring| ring.points.iter().copied()).collect();
     let sphere @ (centre, radius) = sphere_through(&points, |_| 1.0)?;
@@ -45,7 +50,10 @@ fn bulge_by_levels(grid: &TriangleGrid<'_>, track: &Track, tip: u32, tip_first: 
     }
     // A front covers a sac's sides unevenly: its whole wall counts.
     let sphere @ (centre, radius) = dome(&grid.vertices_within(&centre, NEAR * radius), sphere);
-    let neck = DomeWall::around(grid.surface(), tip, &sphere).neck(grid.surface());
+    // Of a piece around the tip alone the border is no neck.
+    let surface = grid.surface();
+    let wall = DomeWall::around(surface, tip, &sphere);
+    let neck = if wall.share(surface, &centre) < MOST { Vector3::zeros() } else { wall.neck(surface) };
     Some(Bulge { centre, radius, neck })
 }
 

@@ -25,7 +25,7 @@ const LIGHT: f64 = 1.0;
 /// Widest section against the level set beside it: that goes around the same wall, aslant or not, so a section much
 /// wider takes in more.
 const WIDE: f64 = 1.3;
-/// Narrowest section against it: a fold of slivers has sections of no area.
+/// Narrowest section against it, by its area: a fold of slivers has sections of none, as long as they may be around.
 const THIN: f64 = 0.05;
 /// A section rounder than this (largest over smallest distance) may be the first to be trusted.
 const ROUND: f64 = 1.6;

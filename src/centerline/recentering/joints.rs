@@ -30,7 +30,7 @@ pub fn joint_centre(approaches: &[Approach], prior: &Point3<f64>) -> Point3<f64>
     for _ in 0..12 {
         let (normal, right) = information(approaches, &centre);
         let held = normal + Matrix3::identity() * hold;
-        let Some(inverse) = held.try_inverse() else { return centre };
+        let Some(inverse) = held.try_inverse() else { break };
         centre = Point3::from(inverse * (right + prior.coords * hold));
     }
     let starts = approaches.iter().map(|approach| (approach.line.at(0.0).0 - prior).norm());
@@ -41,8 +41,11 @@ pub fn joint_centre(approaches: &[Approach], prior: &Point3<f64>) -> Point3<f64>
 /// What the approaches say of a centre near `centre`: the matrix and the right side of its normal equations.
 pub fn information(approaches: &[Approach], centre: &Point3<f64>) -> (Matrix3<f64>, Vector3<f64>) {
     let places: Vec<f64> = approaches.iter().map(|approach| approach.nearest(centre)).collect();
-    let directions: Vec<Vector3<f64>> =
-        approaches.iter().zip(&places).map(|(approach, &s)| approach.line.at(s).1).collect();
+    // A bulge goes on into no vessel.
+    let direction = |(approach, &s): (&Approach, &f64)| {
+        if approach.bulge { Vector3::zeros() } else { approach.line.at(s).1 }
+    };
+    let directions: Vec<Vector3<f64>> = approaches.iter().zip(&places).map(direction).collect();
     let through = through_direction(approaches, centre);
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for (number, (approach, &s)) in approaches.iter().zip(&places).enumerate() {
@@ -71,7 +74,7 @@ fn of_bulge(
 ) -> (Matrix3<f64>, Vector3<f64>) {
     /// How well its middle says where along a vessel it sits, in its radii.
     const LEVEL: f64 = 0.02;
-    /// Cosine between its neck and the vessel beyond which it stands on no side of it.
+    /// Cosine between its neck and the vessel at which that counts a third.
     const LEAN: f64 = 0.12;
     /// Deviation of its neck's direction (radians).
     const AXIS: f64 = 0.05;
@@ -236,6 +239,25 @@ fn bezier(p: &[Point3<f64>; 4], t: f64) -> (Point3<f64>, Vector3<f64>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_sac_stands_square_to_its_vessel_unless_its_neck_leans() {
+        let vessel =
+            |side: f64| Approach::straight(Point3::new(3.0 * side, 0.0, 0.0), -Vector3::x() * side, 1.0);
+        let sac = |neck: Vector3<f64>| Approach {
+            bulge: true,
+            ..Approach::straight(Point3::new(0.0, 0.0, 3.0), neck, 1.5)
+        };
+        let centre = |neck: Vector3<f64>| {
+            joint_centre(&[vessel(1.0), vessel(-1.0), sac(neck)], &Point3::new(0.5, 0.0, 0.0))
+        };
+        for neck in [-Vector3::z(), Vector3::zeros(), Vector3::new(0.02, 0.0, -1.0).normalize()] {
+            assert!(centre(neck).coords.norm() < 0.03, "{neck:?} {}", centre(neck));
+        }
+        // To where its axis meets the vessel's.
+        let leaning = centre(Vector3::new(1.0, 0.0, -1.5).normalize());
+        assert!((leaning - Point3::new(2.0, 0.0, 0.0)).norm() < 0.15, "{leaning}");
+    }
 
     #[test]
     fn lines_through_a_point_meet_there() {

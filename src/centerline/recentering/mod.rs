@@ -3,6 +3,7 @@
 pub mod approach;
 pub mod displaced;
 pub mod ends;
+pub mod hidden_radii;
 pub mod joint_collapse;
 pub mod joint_fit;
 pub mod joints;

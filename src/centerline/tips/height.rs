@@ -86,11 +86,10 @@ impl Pruning<'_> {
                 && over().is_some_and(|(over, radius)| over >= (tip_height * radius).max(SAMPLES * sample))
     }
 
-    /// Whether a leaf is a fold of a few slivers of the mesh: hardly as high as the mesh is fine, it is many times as high
-    /// as it is wide.
+    /// Whether a leaf is a fold of a few slivers of the mesh: of no size beside its vessel, and higher than wide, so that its
+    /// height in its own radii says nothing.
     fn is_needle(&self, first: u32, (radius, sibling): (f64, f64), height: f64) -> bool {
-        /// Most edges around its base, and its greatest width and height in radii of the vessel beside it.
-        const EDGES: u32 = 12;
+        /// Its greatest radius and height in radii of the vessel beside it.
         const WIDE: f64 = 0.05;
         const HIGH: f64 = 0.25;
         let edges = self.graph.arcs[first as usize].base_edges;
