@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Matrix4, Point3, Unit, Vector3, Vector4};
 
 use crate::mesh::preparation::Surface;
 
-use crate::centerline::cut_plane::dome::{DomeWall, deviation, standing_dome};
+use crate::centerline::cut_plane::dome::{deviation, neck_of_dome, standing_dome};
 use crate::centerline::segmentation::track::{Bulge, SPACING, Sight, Station, Track};
 use crate::centerline::triangle_grid::TriangleGrid;
 
@@ -36,8 +36,6 @@ fn bulge_by_levels(grid: &TriangleGrid<'_>, track: &Track, tip: u32, tip_first: 
     const FLAT: f64 = 2.0;
     /// How far from the middle its wall may be, in radii.
     const NEAR: f64 = 1.3;
-    /// Least share of the sphere in one piece around the tip that shows a neck.
-    const MOST: f64 = 0.5;
     let rings = &track.rings;
     let points: Vec<Point3<f64>> = rings.iter().flat_map(|ring| ring.points.iter().copied()).collect();
     let sphere @ (centre, radius) = sphere_through(&points, |_| 1.0)?;
@@ -49,11 +47,8 @@ fn bulge_by_levels(grid: &TriangleGrid<'_>, track: &Track, tip: u32, tip_first: 
         return None;
     }
     // A front covers a sac's sides unevenly: its whole wall counts.
-    let sphere @ (centre, radius) = dome(&grid.vertices_within(&centre, NEAR * radius), sphere);
-    // Of a piece around the tip alone the border is no neck.
-    let surface = grid.surface();
-    let wall = DomeWall::around(surface, tip, &sphere);
-    let neck = if wall.share(surface, &centre) < MOST { Vector3::zeros() } else { wall.neck(surface) };
+    let (centre, radius) = dome(&grid.vertices_within(&centre, NEAR * radius), sphere);
+    let neck = neck_of_dome(grid, tip).unwrap_or_default();
     Some(Bulge { centre, radius, neck })
 }
 

@@ -25,15 +25,13 @@ pub fn standing_dome(grid: &TriangleGrid<'_>, tip: u32, way: &[Point3<f64>]) -> 
     /// Least share of the sphere that is wall: a vessel's round end and what of the vessel lies near its sphere fill up to
     /// 0.74, of one that widens to its end by a tenth of its radius a radius 0.76.
     const SHARE: f64 = 0.8;
-    /// Its largest deviation (root mean square) from the sphere, in radii.
-    const DEVIATION: f64 = 0.05;
     /// The longest way from the joint to the dome that shows no sections of its own, in radii of the neck.
     const STALK: f64 = 4.0;
     let surface = grid.surface();
     let (sphere, wall) = fitted(grid, tip)?;
     let (centre, radius) = sphere;
     let share = wall.share(surface, &centre);
-    let is_sac = share >= SHARE && deviation(&wall.points(surface), &sphere) <= DEVIATION;
+    let is_sac = share >= SHARE && wall.is_round(surface, &sphere);
     let cosine = (2.0 * share - 1.0).min(1.0);
     let neck = radius * (1.0 - cosine * cosine).sqrt();
     let is_outside = |pair: &&[Point3<f64>]| (pair[0] - centre).norm() > radius;
@@ -41,6 +39,17 @@ pub fn standing_dome(grid: &TriangleGrid<'_>, tip: u32, way: &[Point3<f64>]) -> 
     let straight = (way.first()? - centre).norm() - radius * cosine;
     let is_short = straight.max(along) <= STALK * neck;
     (is_sac && is_short).then(|| Bulge { centre, radius, neck: wall.neck(surface) })
+}
+
+/// Unit direction through the neck of a dome that is no whole sphere, as of a sac that is drawn out; `None` where the wall
+/// around the tip is too little of a sphere to show a neck.
+pub fn neck_of_dome(grid: &TriangleGrid<'_>, tip: u32) -> Option<Vector3<f64>> {
+    /// Least share of the sphere that is wall.
+    const SHARE: f64 = 0.6;
+    let surface = grid.surface();
+    let (sphere, wall) = fitted(grid, tip)?;
+    let is_dome = wall.share(surface, &sphere.0) >= SHARE && wall.is_round(surface, &sphere);
+    is_dome.then(|| wall.neck(surface))
 }
 
 /// The sphere through the wall around a tip, and that wall.
@@ -97,13 +106,13 @@ pub fn deviation(points: &[Point3<f64>], (centre, radius): &Sphere) -> f64 {
 }
 
 /// The wall near a sphere, in one piece around a tip.
-pub struct DomeWall {
+struct DomeWall {
     triangles: Vec<u32>,
 }
 
 impl DomeWall {
     /// Floods the wall from `tip` as far as it is on the sphere. O(its triangles).
-    pub fn around(surface: &Surface, tip: u32, (centre, radius): &Sphere) -> Self {
+    fn around(surface: &Surface, tip: u32, (centre, radius): &Sphere) -> Self {
         /// How far off the sphere its wall may be, in radii.
         const SHELL: f64 = 0.08;
         let on = |t: u32| {
@@ -127,6 +136,13 @@ impl DomeWall {
         Self { triangles }
     }
 
+    /// Whether it lies on the sphere.
+    fn is_round(&self, surface: &Surface, sphere: &Sphere) -> bool {
+        /// Largest deviation (root mean square), in radii.
+        const DEVIATION: f64 = 0.05;
+        deviation(&self.points(surface), sphere) <= DEVIATION
+    }
+
     fn points(&self, surface: &Surface) -> Vec<Point3<f64>> {
         let mut all: Vec<u32> =
             self.triangles.iter().flat_map(|&t| surface.mesh.triangles[t as usize]).collect();
@@ -136,7 +152,7 @@ impl DomeWall {
     }
 
     /// Share of the solid angle around `centre` that it fills (van Oosterom and Strackee 1983).
-    pub fn share(&self, surface: &Surface, centre: &Point3<f64>) -> f64 {
+    fn share(&self, surface: &Surface, centre: &Point3<f64>) -> f64 {
         let angle = |&t: &u32| {
             let [a, b, c] =
                 surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize] - centre);
@@ -148,7 +164,7 @@ impl DomeWall {
     }
 
     /// Unit direction through its border, whose area vector closes that of the wall; zero where it has none.
-    pub fn neck(&self, surface: &Surface) -> Vector3<f64> {
+    fn neck(&self, surface: &Surface) -> Vector3<f64> {
         /// Least area of the border against the wall's: what is less is rounding.
         const LEAST: f64 = 1e-6;
         let areas = self.triangles.iter().map(|&t| surface.mesh.area_vector(t));
