@@ -13,11 +13,12 @@ use crate::centerline::triangle_grid::TriangleGrid;
 /// Finds the bulge that a leaf is, whatever sections could be cut through it and the vessel together, and draws its line;
 /// returns whether it is one. By its wall; where that is no whole sphere, by its level sets.
 pub fn round_bulge(grid: &TriangleGrid<'_>, track: &mut Track, tip: u32, tip_first: bool) -> bool {
-    let mut way: Vec<Point3<f64>> = track.rings.iter().map(|ring| ring.centroid).collect();
+    let mut way: Vec<(Point3<f64>, f64)> =
+        track.rings.iter().map(|ring| (ring.centroid, ring.radius())).collect();
     if tip_first {
         way.reverse();
     }
-    let Some(&joint) = way.first() else { return false };
+    let Some(&(joint, _)) = way.first() else { return false };
     let by_wall = standing_dome(grid, tip, &way);
     let Some(bulge) = by_wall.or_else(|| bulge_by_levels(grid, track, tip, tip_first)) else { return false };
     track.bulge = Some(bulge);
@@ -48,7 +49,7 @@ fn bulge_by_levels(grid: &TriangleGrid<'_>, track: &Track, tip: u32, tip_first: 
     }
     // A front covers a sac's sides unevenly: its whole wall counts.
     let (centre, radius) = dome(&grid.vertices_within(&centre, NEAR * radius), sphere);
-    let neck = neck_of_dome(grid, tip).unwrap_or_default();
+    let neck = neck_of_dome(grid, tip, &base.centroid).unwrap_or_default();
     Some(Bulge { centre, radius, neck })
 }
 

@@ -17,16 +17,20 @@ use crate::centerline::triangle_grid::TriangleGrid;
 
 type Sphere = (Point3<f64>, f64);
 
-/// The sac that a tip lies on; `None` where its wall is no sphere, or where a vessel of its own leads to it: `way` are the
-/// centres of its level sets, from the joint on.
+/// The sac that a tip lies on; `None` where its wall is no sphere, or where a vessel of its own leads to it, long or bent:
+/// `way` are the centres and radii of its level sets, from the joint on.
 ///
 /// O(rounds x triangles of the dome + vertices within its radius).
-pub fn standing_dome(grid: &TriangleGrid<'_>, tip: u32, way: &[Point3<f64>]) -> Option<Bulge> {
+pub fn standing_dome(grid: &TriangleGrid<'_>, tip: u32, way: &[Sphere]) -> Option<Bulge> {
     /// Least share of the sphere that is wall: a vessel's round end and what of the vessel lies near its sphere fill up to
-    /// 0.74, of one that widens to its end by a tenth of its radius a radius 0.76.
-    const SHARE: f64 = 0.8;
+    /// 0.74, of one that widens to its end by a tenth of its radius a radius 0.76, a bulb of 1.3 of them 0.82.
+    const SHARE: f64 = 0.83;
     /// The longest way from the joint to the dome that shows no sections of its own, in radii of the neck.
     const STALK: f64 = 4.0;
+    /// Level sets up to so many radii of the neck go around its stalk, and are no farther than so many from its axis: no line
+    /// runs straight through a bent one.
+    const WIDE: f64 = 1.3;
+    const BENT: f64 = 0.7;
     let surface = grid.surface();
     let (sphere, wall) = fitted(grid, tip)?;
     let (centre, radius) = sphere;
@@ -34,22 +38,40 @@ pub fn standing_dome(grid: &TriangleGrid<'_>, tip: u32, way: &[Point3<f64>]) -> 
     let is_sac = share >= SHARE && wall.is_round(surface, &sphere);
     let cosine = (2.0 * share - 1.0).min(1.0);
     let neck = radius * (1.0 - cosine * cosine).sqrt();
-    let is_outside = |pair: &&[Point3<f64>]| (pair[0] - centre).norm() > radius;
-    let along: f64 = way.windows(2).take_while(is_outside).map(|pair| (pair[1] - pair[0]).norm()).sum();
-    let straight = (way.first()? - centre).norm() - radius * cosine;
+    let is_outside = |(place, _): &Sphere| (place - centre).norm() > radius;
+    let stalk = &way[..way.iter().take_while(|ring| is_outside(ring)).count()];
+    let along: f64 = stalk.windows(2).map(|pair| (pair[1].0 - pair[0].0).norm()).sum();
+    let straight = (way.first()?.0 - centre).norm() - radius * cosine;
     let is_short = straight.max(along) <= STALK * neck;
-    (is_sac && is_short).then(|| Bulge { centre, radius, neck: wall.neck(surface) })
+    let axis = wall.neck(surface);
+    let is_stalk = |&&(_, around): &&Sphere| around < WIDE * neck;
+    let aside = |(place, _): &Sphere| (place - centre).cross(&axis).norm();
+    let is_straight = stalk.iter().filter(is_stalk).all(|ring| aside(ring) < BENT * neck);
+    (is_sac && is_short && is_straight && leads_to(&axis, &(way[0].0 - centre), radius)).then_some(Bulge {
+        centre,
+        radius,
+        neck: axis,
+    })
+}
+
+/// Whether a neck opens toward its joint, which lies at `joint` from the centre, and not into a stalk that bends away. Where
+/// that lies in the sac, as a front has climbed it, it says nothing.
+fn leads_to(axis: &Vector3<f64>, joint: &Vector3<f64>, radius: f64) -> bool {
+    /// Least cosine between both.
+    const TOWARD: f64 = 0.7;
+    joint.norm() < radius || axis.dot(joint) >= TOWARD * joint.norm()
 }
 
 /// Unit direction through the neck of a dome that is no whole sphere, as of a sac that is drawn out; `None` where the wall
-/// around the tip is too little of a sphere to show a neck.
-pub fn neck_of_dome(grid: &TriangleGrid<'_>, tip: u32) -> Option<Vector3<f64>> {
+/// around the tip is too little of a sphere to show a neck that leads to the `joint`.
+pub fn neck_of_dome(grid: &TriangleGrid<'_>, tip: u32, joint: &Point3<f64>) -> Option<Vector3<f64>> {
     /// Least share of the sphere that is wall.
     const SHARE: f64 = 0.6;
     let surface = grid.surface();
     let (sphere, wall) = fitted(grid, tip)?;
     let is_dome = wall.share(surface, &sphere.0) >= SHARE && wall.is_round(surface, &sphere);
-    is_dome.then(|| wall.neck(surface))
+    let neck = wall.neck(surface);
+    (is_dome && leads_to(&neck, &(joint - sphere.0), sphere.1)).then_some(neck)
 }
 
 /// The sphere through the wall around a tip, and that wall.
@@ -188,8 +210,8 @@ mod tests {
     }
 
     /// Places on the axis from a joint to the sphere.
-    fn way(joint: f64) -> [Point3<f64>; 3] {
-        [joint, 0.0, 0.9].map(|z| Point3::new(0.0, 0.0, z))
+    fn way(joint: f64) -> [Sphere; 3] {
+        [joint, 0.0, 0.9].map(|z| (Point3::new(0.0, 0.0, z), 0.5))
     }
 
     /// A tube of radius `neck` along z up to z = 0, and a sphere of radius 1 on it.
@@ -215,7 +237,9 @@ mod tests {
         assert!((bulge.centre - Point3::new(0.0, 0.0, rise)).norm() < 0.02, "{bulge:?}");
         assert!((bulge.radius - 1.0).abs() < 0.02, "{bulge:?}");
         assert!((bulge.neck + Vector3::z()).norm() < 1e-3, "{bulge:?}");
-        // A long stalk has sections of its own.
+        // A stalk that bends, and a long one, have sections of their own.
+        let bent = [Point3::new(0.4, 0.0, -0.5), Point3::new(0.0, 0.0, 0.0)].map(|place| (place, 0.5));
+        assert_eq!(standing_dome(&grid, top(&surface), &bent), None);
         assert_eq!(standing_dome(&grid, top(&surface), &way(-2.5)), None);
     }
 
@@ -232,7 +256,7 @@ mod tests {
                 [(0.0, 0.0)].into_iter().chain(tube).chain(dome).chain([(0.0, 7.0)]).collect();
             let surface = closed_surface(&revolved(&profile, 48));
             let grid = TriangleGrid::new(&surface);
-            let way = [Point3::new(0.0, 0.0, 4.5), Point3::new(0.0, 0.0, 6.0)];
+            let way = [4.5, 6.0].map(|z| (Point3::new(0.0, 0.0, z), 1.0));
             assert_eq!(standing_dome(&grid, top(&surface), &way), None, "{widens}");
         }
     }
