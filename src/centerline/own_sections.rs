@@ -19,6 +19,7 @@ use crate::centerline::cut_plane::section::{Frame, Section, any_perpendicular, s
 use crate::centerline::equivalent_radius::wall_radius;
 use crate::centerline::graph::Branch;
 use crate::centerline::line_tree::{LineTree, Segment};
+use crate::centerline::median::place_at_share;
 use crate::centerline::triangle_grid::TriangleGrid;
 
 /// Fewest sides in a quarter of a section that show a wall; nothing tells of where that is but a few sides, as in a vessel of
@@ -178,12 +179,7 @@ fn nearest_quarter(sides: impl Iterator<Item = [Vector2<f64>; 2]>) -> (f64, usiz
     let seen = |[p, q]: [Vector2<f64>; 2]| (0.5 * (p + q).norm(), p.perp(&q).atan2(p.dot(&q)).abs());
     let mut sides: Vec<(f64, f64)> = sides.map(seen).collect();
     sides.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let quarter = 0.25 * sides.iter().map(|side| side.1).sum::<f64>();
-    let mut angle = 0.0;
-    let reached = sides.iter().position(|side| {
-        angle += side.1;
-        angle >= quarter
-    });
+    let reached = place_at_share(sides.iter().map(|side| side.1), 0.25);
     reached.map_or((f64::INFINITY, 0), |last| (sides[last].0, last + 1))
 }
 

@@ -6,7 +6,8 @@ use nalgebra::{Matrix3, Matrix4, Point3, Unit, Vector3, Vector4};
 
 use crate::mesh::preparation::Surface;
 
-use crate::centerline::cut_plane::dome::{deviation, neck_of_dome, standing_dome};
+use crate::centerline::cut_plane::dome::{Dome, deviation};
+use crate::centerline::segmentation::level_sets::LevelSet;
 use crate::centerline::segmentation::track::{Bulge, SPACING, Sight, Station, Track};
 use crate::centerline::triangle_grid::TriangleGrid;
 
@@ -18,16 +19,27 @@ pub fn round_bulge(grid: &TriangleGrid<'_>, track: &mut Track, tip: u32, tip_fir
     if tip_first {
         way.reverse();
     }
-    let Some(&(joint, _)) = way.first() else { return false };
-    let by_wall = standing_dome(grid, tip, &way);
-    let Some(bulge) = by_wall.or_else(|| bulge_by_levels(grid, track, tip, tip_first)) else { return false };
+    let Some(&(joint, base_radius)) = way.first() else { return false };
+    let surface = grid.surface();
+    let dome = Dome::around(grid, tip);
+    let by_wall = dome.as_ref().and_then(|dome| dome.as_sac(surface, &way));
+    let by_levels = || {
+        let (centre, radius) = sphere_of_levels(grid, &track.rings, base_radius)?;
+        let neck = dome.as_ref().and_then(|dome| dome.neck_toward(surface, &joint));
+        Some(Bulge { centre, radius, neck: neck.unwrap_or_default() })
+    };
+    let Some(bulge) = by_wall.or_else(by_levels) else { return false };
     track.bulge = Some(bulge);
     track.stations = line_through(grid, track, &joint, &bulge.centre, !tip_first);
     true
 }
 
-/// The sac whose sphere all level sets of a leaf lie on.
-fn bulge_by_levels(grid: &TriangleGrid<'_>, track: &Track, tip: u32, tip_first: bool) -> Option<Bulge> {
+/// The sphere that all level sets of a leaf lie on; `base_radius` is that of the one at its joint.
+fn sphere_of_levels(
+    grid: &TriangleGrid<'_>,
+    rings: &[LevelSet],
+    base_radius: f64,
+) -> Option<(Point3<f64>, f64)> {
     /// Largest deviation (root mean square) of the wall from its sphere, in radii. Sacs of the phantoms
     /// have up to 0.04, stumps of tubes 0.10 and more.
     const DEVIATION: f64 = 0.06;
@@ -37,20 +49,16 @@ fn bulge_by_levels(grid: &TriangleGrid<'_>, track: &Track, tip: u32, tip_first: 
     const FLAT: f64 = 2.0;
     /// How far from the middle its wall may be, in radii.
     const NEAR: f64 = 1.3;
-    let rings = &track.rings;
     let points: Vec<Point3<f64>> = rings.iter().flat_map(|ring| ring.points.iter().copied()).collect();
     let sphere @ (centre, radius) = sphere_through(&points, |_| 1.0)?;
     let (first, last) = (rings.first()?, rings.last()?);
-    let base = if tip_first { last } else { first };
     let height = (first.centroid - last.centroid).norm();
     let is_round = deviation(&points, &sphere) <= DEVIATION && height <= HEIGHT * radius;
-    if !is_round || radius > FLAT * base.radius() {
+    if !is_round || radius > FLAT * base_radius {
         return None;
     }
     // A front covers a sac's sides unevenly: its whole wall counts.
-    let (centre, radius) = dome(&grid.vertices_within(&centre, NEAR * radius), sphere);
-    let neck = neck_of_dome(grid, tip, &base.centroid).unwrap_or_default();
-    Some(Bulge { centre, radius, neck })
+    Some(dome(&grid.vertices_within(&centre, NEAR * radius), sphere))
 }
 
 /// Makes a track a small ball that touches the wall at its tip: an end that was asked for on the side of a vessel has

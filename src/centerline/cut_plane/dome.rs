@@ -17,77 +17,92 @@ use crate::centerline::triangle_grid::TriangleGrid;
 
 type Sphere = (Point3<f64>, f64);
 
-/// The sac that a tip lies on; `None` where its wall is no sphere, or where a vessel of its own leads to it, long or bent:
-/// `way` are the centres and radii of its level sets, from the joint on.
-///
-/// O(rounds x triangles of the dome + vertices within its radius).
-pub fn standing_dome(grid: &TriangleGrid<'_>, tip: u32, way: &[Sphere]) -> Option<Bulge> {
-    /// Least share of the sphere that is wall: a vessel's round end and what of the vessel lies near its sphere fill up to
-    /// 0.74, of one that widens to its end by a tenth of its radius a radius 0.76, a bulb of 1.3 of them 0.82.
-    const SHARE: f64 = 0.83;
-    /// The longest way from the joint to the dome that shows no sections of its own, in radii of the neck.
-    const STALK: f64 = 4.0;
-    /// Level sets up to so many radii of the neck go around its stalk, and are no farther than so many from its axis: no line
-    /// runs straight through a bent one.
-    const WIDE: f64 = 1.3;
-    const BENT: f64 = 0.7;
-    let surface = grid.surface();
-    let (sphere, wall) = fitted(grid, tip)?;
-    let (centre, radius) = sphere;
-    let share = wall.share(surface, &centre);
-    let is_sac = share >= SHARE && wall.is_round(surface, &sphere);
-    let cosine = (2.0 * share - 1.0).min(1.0);
-    let neck = radius * (1.0 - cosine * cosine).sqrt();
-    let is_outside = |(place, _): &Sphere| (place - centre).norm() > radius;
-    let stalk = &way[..way.iter().take_while(|ring| is_outside(ring)).count()];
-    let along: f64 = stalk.windows(2).map(|pair| (pair[1].0 - pair[0].0).norm()).sum();
-    let straight = (way.first()?.0 - centre).norm() - radius * cosine;
-    let is_short = straight.max(along) <= STALK * neck;
-    let axis = wall.neck(surface);
-    let is_stalk = |&&(_, around): &&Sphere| around < WIDE * neck;
-    let aside = |(place, _): &Sphere| (place - centre).cross(&axis).norm();
-    let is_straight = stalk.iter().filter(is_stalk).all(|ring| aside(ring) < BENT * neck);
-    (is_sac && is_short && is_straight && leads_to(&axis, &(way[0].0 - centre), radius)).then_some(Bulge {
-        centre,
-        radius,
-        neck: axis,
-    })
-}
-
-/// Whether a neck opens toward its joint, which lies at `joint` from the centre, and not into a stalk that bends away. Where
-/// that lies in the sac, as a front has climbed it, it says nothing.
-fn leads_to(axis: &Vector3<f64>, joint: &Vector3<f64>, radius: f64) -> bool {
-    /// Least cosine between both.
-    const TOWARD: f64 = 0.7;
-    joint.norm() < radius || axis.dot(joint) >= TOWARD * joint.norm()
-}
-
-/// Unit direction through the neck of a dome that is no whole sphere, as of a sac that is drawn out; `None` where the wall
-/// around the tip is too little of a sphere to show a neck that leads to the `joint`.
-pub fn neck_of_dome(grid: &TriangleGrid<'_>, tip: u32, joint: &Point3<f64>) -> Option<Vector3<f64>> {
-    /// Least share of the sphere that is wall.
-    const SHARE: f64 = 0.6;
-    let surface = grid.surface();
-    let (sphere, wall) = fitted(grid, tip)?;
-    let is_dome = wall.share(surface, &sphere.0) >= SHARE && wall.is_round(surface, &sphere);
-    let neck = wall.neck(surface);
-    (is_dome && leads_to(&neck, &(joint - sphere.0), sphere.1)).then_some(neck)
-}
-
 /// The sphere through the wall around a tip, and that wall.
-fn fitted(grid: &TriangleGrid<'_>, tip: u32) -> Option<(Sphere, DomeWall)> {
-    const ROUNDS: usize = 6;
-    let surface = grid.surface();
-    let mut sphere = touching(grid, tip)?;
-    let mut wall = DomeWall::around(surface, tip, &sphere);
-    for _ in 0..ROUNDS {
-        sphere = sphere_through(&wall.points(surface), |_| 1.0)?;
-        let before = std::mem::replace(&mut wall, DomeWall::around(surface, tip, &sphere));
-        if before.triangles == wall.triangles {
-            break;
+pub struct Dome {
+    sphere: Sphere,
+    wall: DomeWall,
+}
+
+impl Dome {
+    /// `None` where no sphere fits the wall. O(rounds x triangles of the dome + vertices within its radius).
+    pub fn around(grid: &TriangleGrid<'_>, tip: u32) -> Option<Self> {
+        const ROUNDS: usize = 6;
+        let surface = grid.surface();
+        let mut sphere = touching(grid, tip)?;
+        let mut wall = DomeWall::around(surface, tip, &sphere);
+        for _ in 0..ROUNDS {
+            sphere = sphere_through(&wall.points(surface), |_| 1.0)?;
+            let before = std::mem::replace(&mut wall, DomeWall::around(surface, tip, &sphere));
+            if before.triangles == wall.triangles {
+                break;
+            }
         }
+        Some(Self { sphere, wall })
     }
-    Some((sphere, wall))
+
+    /// The sac that the dome is; `None` where it is no sphere, or where a vessel of its own leads to it, long or bent: `way`
+    /// are the centres and radii of its level sets, from the joint on.
+    pub fn as_sac(&self, surface: &Surface, way: &[(Point3<f64>, f64)]) -> Option<Bulge> {
+        /// Least share of the sphere that is wall: a vessel's round end and what of the vessel lies near its sphere fill up
+        /// to 0.74, of one that widens to its end by a tenth of its radius a radius 0.76, a bulb of 1.3 of them 0.82.
+        const SHARE: f64 = 0.83;
+        /// The longest way from the joint to the dome that shows no sections of its own, in radii of the neck.
+        const STALK: f64 = 4.0;
+        /// Level sets up to so many radii of the neck go around its stalk, and are no farther than so many from its axis: no
+        /// line runs straight through a bent one.
+        const WIDE: f64 = 1.3;
+        const BENT: f64 = 0.7;
+        let share = self.share(surface);
+        if share < SHARE || !self.is_round(surface) {
+            return None;
+        }
+        let (centre, radius) = self.sphere;
+        let cosine = (2.0 * share - 1.0).min(1.0);
+        let neck = radius * (1.0 - cosine * cosine).sqrt();
+        let joint = way.first()?.0 - centre;
+        let outside = way.iter().take_while(|(place, _)| (place - centre).norm() > radius).count();
+        let stalk = &way[..outside];
+        let along: f64 = stalk.windows(2).map(|pair| (pair[1].0 - pair[0].0).norm()).sum();
+        let is_short = along.max(joint.norm() - radius * cosine) <= STALK * neck;
+        let axis = self.wall.neck(surface);
+        let aside = |(place, _): &(Point3<f64>, f64)| (place - centre).cross(&axis).norm();
+        let mut around = stalk.iter().filter(|ring| ring.1 < WIDE * neck);
+        let is_straight = around.all(|ring| aside(ring) < BENT * neck);
+        (is_short && is_straight && self.leads_to(&axis, &joint)).then_some(Bulge {
+            centre,
+            radius,
+            neck: axis,
+        })
+    }
+
+    /// Unit direction through the neck of a dome that is no whole sphere, as of a sac that is drawn out; `None` where it is
+    /// too little of one to show a neck that leads to the `joint`.
+    pub fn neck_toward(&self, surface: &Surface, joint: &Point3<f64>) -> Option<Vector3<f64>> {
+        /// Least share of the sphere that is wall.
+        const SHARE: f64 = 0.6;
+        let is_dome = self.share(surface) >= SHARE && self.is_round(surface);
+        let neck = self.wall.neck(surface);
+        (is_dome && self.leads_to(&neck, &(joint - self.sphere.0))).then_some(neck)
+    }
+
+    /// Whether a neck opens toward its joint, which lies at `joint` from the centre, and not into a stalk that bends away.
+    /// Where that lies in the sac, as a front has climbed it, it says nothing.
+    fn leads_to(&self, axis: &Vector3<f64>, joint: &Vector3<f64>) -> bool {
+        /// Least cosine between both.
+        const TOWARD: f64 = 0.7;
+        joint.norm() < self.sphere.1 || axis.dot(joint) >= TOWARD * joint.norm()
+    }
+
+    fn share(&self, surface: &Surface) -> f64 {
+        self.wall.share(surface, &self.sphere.0)
+    }
+
+    /// Whether its wall lies on the sphere.
+    fn is_round(&self, surface: &Surface) -> bool {
+        /// Largest deviation (root mean square), in radii.
+        const DEVIATION: f64 = 0.05;
+        deviation(&self.wall.points(surface), &self.sphere) <= DEVIATION
+    }
 }
 
 /// The largest sphere inside that touches the wall at a vertex.
@@ -158,13 +173,6 @@ impl DomeWall {
         Self { triangles }
     }
 
-    /// Whether it lies on the sphere.
-    fn is_round(&self, surface: &Surface, sphere: &Sphere) -> bool {
-        /// Largest deviation (root mean square), in radii.
-        const DEVIATION: f64 = 0.05;
-        deviation(&self.points(surface), sphere) <= DEVIATION
-    }
-
     fn points(&self, surface: &Surface) -> Vec<Point3<f64>> {
         let mut all: Vec<u32> =
             self.triangles.iter().flat_map(|&t| surface.mesh.triangles[t as usize]).collect();
@@ -210,8 +218,12 @@ mod tests {
     }
 
     /// Places on the axis from a joint to the sphere.
-    fn way(joint: f64) -> [Sphere; 3] {
+    fn way(joint: f64) -> [(Point3<f64>, f64); 3] {
         [joint, 0.0, 0.9].map(|z| (Point3::new(0.0, 0.0, z), 0.5))
+    }
+
+    fn sac_at_top(surface: &Surface, way: &[(Point3<f64>, f64)]) -> Option<Bulge> {
+        Dome::around(&TriangleGrid::new(surface), top(surface))?.as_sac(surface, way)
     }
 
     /// A tube of radius `neck` along z up to z = 0, and a sphere of radius 1 on it.
@@ -231,16 +243,15 @@ mod tests {
     #[test]
     fn a_sac_is_found_from_its_tip_with_its_neck() {
         let surface = pedunculated(0.5);
-        let grid = TriangleGrid::new(&surface);
-        let bulge = standing_dome(&grid, top(&surface), &way(-0.5)).unwrap();
+        let bulge = sac_at_top(&surface, &way(-0.5)).unwrap();
         let rise = 0.75_f64.sqrt();
         assert!((bulge.centre - Point3::new(0.0, 0.0, rise)).norm() < 0.02, "{bulge:?}");
         assert!((bulge.radius - 1.0).abs() < 0.02, "{bulge:?}");
         assert!((bulge.neck + Vector3::z()).norm() < 1e-3, "{bulge:?}");
         // A stalk that bends, and a long one, have sections of their own.
         let bent = [Point3::new(0.4, 0.0, -0.5), Point3::new(0.0, 0.0, 0.0)].map(|place| (place, 0.5));
-        assert_eq!(standing_dome(&grid, top(&surface), &bent), None);
-        assert_eq!(standing_dome(&grid, top(&surface), &way(-2.5)), None);
+        assert_eq!(sac_at_top(&surface, &bent), None);
+        assert_eq!(sac_at_top(&surface, &way(-2.5)), None);
     }
 
     #[test]
@@ -255,9 +266,8 @@ mod tests {
             let profile: Vec<(f64, f64)> =
                 [(0.0, 0.0)].into_iter().chain(tube).chain(dome).chain([(0.0, 7.0)]).collect();
             let surface = closed_surface(&revolved(&profile, 48));
-            let grid = TriangleGrid::new(&surface);
             let way = [4.5, 6.0].map(|z| (Point3::new(0.0, 0.0, z), 1.0));
-            assert_eq!(standing_dome(&grid, top(&surface), &way), None, "{widens}");
+            assert_eq!(sac_at_top(&surface, &way), None, "{widens}");
         }
     }
 }

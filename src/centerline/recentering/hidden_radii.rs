@@ -7,6 +7,7 @@ use nalgebra::Point3;
 use rayon::prelude::*;
 
 use crate::centerline::connection::network::Network;
+use crate::centerline::median::place_at_share;
 use crate::centerline::segmentation::track::{Sight, Station};
 use crate::centerline::triangle_grid::TriangleGrid;
 
@@ -17,18 +18,19 @@ pub fn widen_before_throats(grid: &TriangleGrid<'_>, network: &mut Network) {
     let all: Vec<[Vec<f64>; 2]> = (0..network.tracks.len()).into_par_iter().map(wider).collect();
     for (track, ends) in network.tracks.iter_mut().zip(all) {
         for (at_end, radii) in [false, true].into_iter().zip(ends) {
-            track.oriented(at_end, |track| {
-                let stations = track.stations.iter_mut().rev();
-                stations.zip(radii).for_each(|(station, radius)| station.radius = radius);
-            });
+            let count = track.stations.len();
+            for (i, radius) in radii.into_iter().enumerate() {
+                let place = if at_end { count - 1 - i } else { i };
+                track.stations[place].radius = radius;
+            }
         }
     }
 }
 
-/// The radii of the stations past the last clean one of a branch, from the joint on; none where it ends in no joint or that
+/// The radii of a branch's stations before its first clean one, from the joint on; none where it ends in no joint or that
 /// section lies in no throat.
 fn wider_radii(grid: &TriangleGrid<'_>, network: &Network, number: usize, at_end: bool) -> Vec<f64> {
-    /// Radius of the last clean section against the usual one, below which it lies in a throat.
+    /// Radius of that section against the usual one, below which it lies in a throat.
     const NARROW: f64 = 0.85;
     /// How far beside another branch a sphere may be, in its radii, that shares its lumen or has parted from it just before.
     const NEAR: f64 = 2.6;
@@ -37,19 +39,22 @@ fn wider_radii(grid: &TriangleGrid<'_>, network: &Network, number: usize, at_end
     if !own.is_line() || network.is_end(node) || network.is_ring(node) {
         return Vec::new();
     }
-    let track = network.toward(number, at_end);
-    let clean = track.stations.iter().rposition(|station| station.sight == Sight::Clean);
-    let (seen, hidden) = track.stations.split_at(clean.map_or(0, |last| last + 1));
-    let last = seen.last().map_or(0.0, |station| station.radius);
-    let Some(usual) = usual_radius(seen).filter(|usual| last < NARROW * usual) else { return Vec::new() };
+    let mut from_joint: Vec<&Station> = own.stations.iter().collect();
+    if at_end {
+        from_joint.reverse();
+    }
+    let clean = from_joint.iter().position(|station| station.sight == Sight::Clean);
+    let (hidden, seen) = from_joint.split_at(clean.unwrap_or(from_joint.len()));
+    let is_throat = |usual: &f64| seen.first().is_some_and(|nearest| nearest.radius < NARROW * usual);
+    let Some(usual) = usual_radius(seen).filter(is_throat) else { return Vec::new() };
     let beside = beside(network, node, number);
-    let radius = |station: &Station| {
+    let radius = |station: &&Station| {
         let fits = grid.clearance(&station.point).min(usual);
         // Far from the other branches a narrow radius may be right.
         let shared = beside.iter().any(|point| (point - station.point).norm() < NEAR * fits);
         if shared { station.radius.max(fits) } else { station.radius }
     };
-    hidden.iter().rev().map(radius).collect()
+    hidden.iter().map(radius).collect()
 }
 
 /// The stations of the other branches at a joint.
@@ -60,26 +65,20 @@ fn beside(network: &Network, node: usize, number: usize) -> Vec<Point3<f64>> {
         .collect()
 }
 
-/// Median radius of the clean sections, by length, over the length before the last that is longer than a throat.
-fn usual_radius(seen: &[Station]) -> Option<f64> {
+/// Median radius of the clean sections, by length, over the length from the first on that is longer than a throat.
+fn usual_radius(seen: &[&Station]) -> Option<f64> {
     /// That length, in radii of the widest section there.
     const RUN: f64 = 8.0;
-    let last = seen.last()?.point;
-    let (mut steps, mut widest, mut before) = (Vec::new(), 0.0_f64, last);
+    let nearest = seen.first()?.point;
+    let (mut steps, mut widest, mut before) = (Vec::new(), 0.0_f64, nearest);
     // Stations stand closer together where it is narrow.
-    for Station { point, radius, .. } in seen.iter().rev().filter(|station| station.sight == Sight::Clean) {
+    for Station { point, radius, .. } in seen.iter().filter(|station| station.sight == Sight::Clean) {
         widest = widest.max(*radius);
-        if (point - last).norm() > RUN * widest {
+        if (point - nearest).norm() > RUN * widest {
             break;
         }
         steps.push((*radius, (point - std::mem::replace(&mut before, *point)).norm()));
     }
     steps.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let half = 0.5 * steps.iter().map(|step| step.1).sum::<f64>();
-    let mut along = 0.0;
-    let middle = steps.iter().find(|step| {
-        along += step.1;
-        along >= half
-    });
-    middle.map(|step| step.0)
+    place_at_share(steps.iter().map(|step| step.1), 0.5).map(|place| steps[place].0)
 }
