@@ -229,8 +229,7 @@ impl Connection<'_> {
             // Two samples of a sac have no direction worth the name: it runs from the joint through them.
             let few = (1..3).contains(&track.stations.len());
             let middle = track.stations.first().filter(|_| few);
-            let sac =
-                middle.map(|s| Bulge { centre: s.point, radius: s.section_radius, neck: Vector3::zeros() });
+            let sac = middle.map(|s| Bulge::ball(s.point, s.section_radius));
             let across = joint.zip(sac).and_then(|(joint, sac)| far_wall(self.grid, &sac, &joint.point));
             across.unwrap_or_else(|| end_point(self.grid, track, tip))
         });

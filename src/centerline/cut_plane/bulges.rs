@@ -8,7 +8,7 @@ use crate::mesh::preparation::Surface;
 
 use crate::centerline::cut_plane::dome::{Dome, deviation};
 use crate::centerline::segmentation::level_sets::LevelSet;
-use crate::centerline::segmentation::track::{Bulge, SPACING, Sight, Station, Track};
+use crate::centerline::segmentation::track::{Bulge, Neck, SPACING, Sight, Station, Track};
 use crate::centerline::triangle_grid::TriangleGrid;
 
 /// Finds the bulge that a leaf is, whatever sections could be cut through it and the vessel together, and draws its line;
@@ -20,15 +20,17 @@ pub fn round_bulge(grid: &TriangleGrid<'_>, track: &mut Track, tip: u32, tip_fir
         way.reverse();
     }
     let Some(&(joint, base_radius)) = way.first() else { return false };
-    let surface = grid.surface();
     let dome = Dome::around(grid, tip);
-    let by_wall = dome.as_ref().and_then(|dome| dome.as_sac(surface, &way));
+    let by_wall = dome.as_ref().and_then(|dome| dome.as_sac(grid, &way));
+    let under_bleb = || Dome::under(grid, &track.rings, tip)?.as_sac(grid, &way);
     let by_levels = || {
         let (centre, radius) = sphere_of_levels(grid, &track.rings, base_radius)?;
-        let neck = dome.as_ref().and_then(|dome| dome.neck_toward(surface, &joint));
-        Some(Bulge { centre, radius, neck: neck.unwrap_or_default() })
+        let neck = dome.as_ref().and_then(|dome| dome.neck_toward(&joint));
+        // It is drawn out into its neck: no stalk leads on from it.
+        let neck = neck.map(|neck| Neck { stalk: 0.0, ..neck });
+        Some(Bulge { neck, ..Bulge::ball(centre, radius) })
     };
-    let Some(bulge) = by_wall.or_else(by_levels) else { return false };
+    let Some(bulge) = by_wall.or_else(under_bleb).or_else(by_levels) else { return false };
     track.bulge = Some(bulge);
     track.stations = line_through(grid, track, &joint, &bulge.centre, !tip_first);
     true
@@ -70,7 +72,7 @@ pub fn at_wall(surface: &Surface, track: &mut Track, tip: u32) {
     let radius = spokes.iter().map(Vector3::norm).sum::<f64>() / spokes.len().max(1) as f64;
     let normal: Vector3<f64> = surface.corners.star(tip).map(|h| surface.mesh.area_vector(h / 3)).sum();
     let inward = -normal.try_normalize(0.0).unwrap_or_else(Vector3::zeros);
-    track.bulge = Some(Bulge { centre: place + inward * radius, radius, neck: Vector3::zeros() });
+    track.bulge = Some(Bulge::ball(place + inward * radius, radius));
     track.stations.clear();
 }
 

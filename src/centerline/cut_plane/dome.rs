@@ -4,104 +4,146 @@
 //! touches the wall at the tip is fitted to all of it that lies in one piece around the tip. A vessel's round end
 //! and what of the vessel lies near its sphere cover less than three quarters of it, a sac all but its neck.
 
-use std::f64::consts::PI;
-
 use nalgebra::{Point3, Vector3};
-use rustc_hash::FxHashSet;
 
 use crate::mesh::preparation::Surface;
 
 use crate::centerline::cut_plane::bulges::sphere_through;
-use crate::centerline::segmentation::track::Bulge;
+use crate::centerline::cut_plane::dome_wall::{Border, DomeWall};
+use crate::centerline::segmentation::level_sets::LevelSet;
+use crate::centerline::segmentation::track::{Bulge, Neck};
 use crate::centerline::triangle_grid::TriangleGrid;
 
 type Sphere = (Point3<f64>, f64);
 
-/// The sphere through the wall around a tip, and that wall.
+/// The sphere through the wall around a tip.
 pub struct Dome {
     sphere: Sphere,
+    /// Share of it that is wall.
+    share: f64,
     wall: DomeWall,
+    border: Border,
 }
 
 impl Dome {
-    /// `None` where no sphere fits the wall. O(rounds x triangles of the dome + vertices within its radius).
+    /// The sphere through the wall around a tip; `None` where that is no sphere's. O(rounds x triangles of the dome + vertices
+    /// within its radius).
     pub fn around(grid: &TriangleGrid<'_>, tip: u32) -> Option<Self> {
-        const ROUNDS: usize = 6;
+        let star: Vec<u32> = grid.surface().corners.star(tip).map(|h| h / 3).collect();
+        Self::fitted(grid.surface(), &star, touching(grid, tip)?)
+    }
+
+    /// The sphere through the wall at the widest of a leaf's level sets, as of a sac whose tip is on a bleb; `None` where
+    /// that is no sphere's, and where the tip is not on it or on what closes its holes. O(as [`Dome::around`]).
+    pub fn under(grid: &TriangleGrid<'_>, rings: &[LevelSet], tip: u32) -> Option<Self> {
+        /// Farthest that a tip is from its middle, in radii.
+        const BLEB: f64 = 1.6;
         let surface = grid.surface();
-        let mut sphere = touching(grid, tip)?;
-        let mut wall = DomeWall::around(surface, tip, &sphere);
+        let widest = rings.iter().max_by(|a, b| a.length.total_cmp(&b.length))?;
+        let first = (widest.centroid, grid.clearance(&widest.centroid));
+        let dome = Self::fitted(surface, &widest.triangles, first)?;
+        let (centre, radius) = dome.sphere;
+        let is_near = (surface.mesh.vertices[tip as usize] - centre).norm() < BLEB * radius;
+        let mut star = surface.corners.star(tip).map(|h| h / 3);
+        (is_near && star.all(|t| dome.wall.holds(t) || dome.border.closes(t))).then_some(dome)
+    }
+
+    /// Fits a sphere to what lies on it in one piece around some triangles.
+    fn fitted(surface: &Surface, seeds: &[u32], first: Sphere) -> Option<Self> {
+        const ROUNDS: usize = 6;
+        /// Most that a sphere is larger than the first: one through a flat cap has no bounds, and all of the surface near it.
+        const LARGER: f64 = 3.0;
+        /// Largest deviation (root mean square) of the wall from it, in radii.
+        const DEVIATION: f64 = 0.05;
+        let mut sphere = first;
+        let mut wall = DomeWall::around(surface, seeds, &sphere);
         for _ in 0..ROUNDS {
-            sphere = sphere_through(&wall.points(surface), |_| 1.0)?;
-            let before = std::mem::replace(&mut wall, DomeWall::around(surface, tip, &sphere));
-            if before.triangles == wall.triangles {
+            sphere = sphere_through(&wall.points(surface), |_| 1.0)
+                .filter(|sphere| sphere.1 < LARGER * first.1)?;
+            let before = std::mem::replace(&mut wall, DomeWall::around(surface, seeds, &sphere));
+            if before.is_same(&wall) {
                 break;
             }
         }
-        Some(Self { sphere, wall })
+        let is_round = deviation(&wall.points(surface), &sphere) <= DEVIATION;
+        let border = Border::of(&wall, surface);
+        let share = wall.share(surface, &border, &sphere.0);
+        is_round.then_some(Self { sphere, share, wall, border })
     }
 
-    /// The sac that the dome is; `None` where it is no sphere, or where a vessel of its own leads to it, long or bent: `way`
-    /// are the centres and radii of its level sets, from the joint on.
-    pub fn as_sac(&self, surface: &Surface, way: &[(Point3<f64>, f64)]) -> Option<Bulge> {
+    /// The sac that the dome is; `None` where it is too little of a sphere, or where a vessel of its own leads to it, long or
+    /// bent: `way` are the centres and radii of its level sets, from the joint on.
+    pub fn as_sac(&self, grid: &TriangleGrid<'_>, way: &[(Point3<f64>, f64)]) -> Option<Bulge> {
         /// Least share of the sphere that is wall: a vessel's round end and what of the vessel lies near its sphere fill up
         /// to 0.74, of one that widens to its end by a tenth of its radius a radius 0.76, a bulb of 1.3 of them 0.82.
         const SHARE: f64 = 0.83;
+        let joint = way.first().filter(|_| self.share >= SHARE)?.0;
+        let (centre, radius) = self.sphere;
+        let ball = Bulge::ball(centre, radius);
+        let Some(neck) = self.neck_toward(&joint) else { return self.holds(&joint).then_some(ball) };
+        let outside = way.iter().take_while(|(place, _)| !self.holds(place)).count();
+        let is_short = self.is_straight(&neck, &way[..outside]) && self.is_clear(grid, &neck);
+        is_short.then_some(Bulge { neck: Some(neck), ..ball })
+    }
+
+    /// Whether a short straight stalk leads to the neck; `way` are the level sets around it.
+    fn is_straight(&self, neck: &Neck, way: &[(Point3<f64>, f64)]) -> bool {
         /// The longest way from the joint to the dome that shows no sections of its own, in radii of the neck.
         const STALK: f64 = 4.0;
         /// Level sets up to so many radii of the neck go around its stalk, and are no farther than so many from its axis: no
         /// line runs straight through a bent one.
         const WIDE: f64 = 1.3;
         const BENT: f64 = 0.7;
-        let share = self.share(surface);
-        if share < SHARE || !self.is_round(surface) {
-            return None;
-        }
-        let (centre, radius) = self.sphere;
-        let cosine = (2.0 * share - 1.0).min(1.0);
-        let neck = radius * (1.0 - cosine * cosine).sqrt();
-        let joint = way.first()?.0 - centre;
-        let outside = way.iter().take_while(|(place, _)| (place - centre).norm() > radius).count();
-        let stalk = &way[..outside];
-        let along: f64 = stalk.windows(2).map(|pair| (pair[1].0 - pair[0].0).norm()).sum();
-        let is_short = along.max(joint.norm() - radius * cosine) <= STALK * neck;
-        let axis = self.wall.neck(surface);
-        let aside = |(place, _): &(Point3<f64>, f64)| (place - centre).cross(&axis).norm();
-        let mut around = stalk.iter().filter(|ring| ring.1 < WIDE * neck);
-        let is_straight = around.all(|ring| aside(ring) < BENT * neck);
-        (is_short && is_straight && self.leads_to(&axis, &joint)).then_some(Bulge {
-            centre,
-            radius,
-            neck: axis,
+        let along: f64 = way.windows(2).map(|pair| (pair[1].0 - pair[0].0).norm()).sum();
+        let straight = neck.mouth.map_or(0.0, |mouth| (mouth - self.sphere.0).norm() - self.rise(neck));
+        let aside = |place: &Point3<f64>| (place - self.sphere.0).cross(&neck.direction).norm();
+        let mut around = way.iter().filter(|ring| ring.1 < WIDE * neck.stalk);
+        along.max(straight) <= STALK * neck.stalk && around.all(|ring| aside(&ring.0) < BENT * neck.stalk)
+    }
+
+    /// Whether the axis through the neck keeps clear of the wall as far as the mouth.
+    fn is_clear(&self, grid: &TriangleGrid<'_>, neck: &Neck) -> bool {
+        /// Least distance from it, in radii of the neck. Sacs on straight stalks have 0.58 and more.
+        const CLEAR: f64 = 0.5;
+        /// Places between the neck and the mouth that are looked at.
+        const PLACES: u32 = 8;
+        let Some(mouth) = neck.mouth else { return true };
+        let (centre, rise) = (self.sphere.0, self.rise(neck));
+        let along = (mouth - centre).dot(&neck.direction) - rise;
+        (0..=PLACES).all(|i| {
+            let place = centre + neck.direction * (rise + along * f64::from(i) / f64::from(PLACES));
+            grid.clearance(&place) >= CLEAR * neck.stalk
         })
     }
 
-    /// Unit direction through the neck of a dome that is no whole sphere, as of a sac that is drawn out; `None` where it is
-    /// too little of one to show a neck that leads to the `joint`.
-    pub fn neck_toward(&self, surface: &Surface, joint: &Point3<f64>) -> Option<Vector3<f64>> {
+    /// Distance of the neck's plane from the sphere's middle.
+    fn rise(&self, neck: &Neck) -> f64 {
+        (self.sphere.1.powi(2) - neck.stalk.powi(2)).max(0.0).sqrt()
+    }
+
+    /// The neck of a dome that may be no whole sphere, as of a sac that is drawn out; `None` where it is too little of one to
+    /// show a neck, or its neck opens into a stalk that bends away from the `joint`. Where that lies in the sac, as a front
+    /// has climbed it, it says nothing.
+    pub fn neck_toward(&self, joint: &Point3<f64>) -> Option<Neck> {
         /// Least share of the sphere that is wall.
         const SHARE: f64 = 0.6;
-        let is_dome = self.share(surface) >= SHARE && self.is_round(surface);
-        let neck = self.wall.neck(surface);
-        (is_dome && self.leads_to(&neck, &(joint - self.sphere.0))).then_some(neck)
-    }
-
-    /// Whether a neck opens toward its joint, which lies at `joint` from the centre, and not into a stalk that bends away.
-    /// Where that lies in the sac, as a front has climbed it, it says nothing.
-    fn leads_to(&self, axis: &Vector3<f64>, joint: &Vector3<f64>) -> bool {
-        /// Least cosine between both.
+        /// Least cosine between the neck and the way to the joint.
         const TOWARD: f64 = 0.7;
-        joint.norm() < self.sphere.1 || axis.dot(joint) >= TOWARD * joint.norm()
+        if self.share < SHARE {
+            return None;
+        }
+        let (centre, radius) = self.sphere;
+        let arm = joint - centre;
+        let direction = self.border.neck(&arm, self.holds(joint))?;
+        let leads = self.holds(joint) || direction.dot(&arm) >= TOWARD * arm.norm();
+        // As of a spherical cap of that share.
+        let cosine = (2.0 * self.share - 1.0).min(1.0);
+        let stalk = radius * (1.0 - cosine * cosine).sqrt();
+        leads.then_some(Neck { direction, stalk, mouth: (!self.holds(joint)).then_some(*joint) })
     }
 
-    fn share(&self, surface: &Surface) -> f64 {
-        self.wall.share(surface, &self.sphere.0)
-    }
-
-    /// Whether its wall lies on the sphere.
-    fn is_round(&self, surface: &Surface) -> bool {
-        /// Largest deviation (root mean square), in radii.
-        const DEVIATION: f64 = 0.05;
-        deviation(&self.wall.points(surface), &self.sphere) <= DEVIATION
+    fn holds(&self, place: &Point3<f64>) -> bool {
+        (place - self.sphere.0).norm() <= self.sphere.1
     }
 }
 
@@ -142,71 +184,9 @@ pub fn deviation(points: &[Point3<f64>], (centre, radius): &Sphere) -> f64 {
     (squares.sum::<f64>() / points.len() as f64).sqrt()
 }
 
-/// The wall near a sphere, in one piece around a tip.
-struct DomeWall {
-    triangles: Vec<u32>,
-}
-
-impl DomeWall {
-    /// Floods the wall from `tip` as far as it is on the sphere. O(its triangles).
-    fn around(surface: &Surface, tip: u32, (centre, radius): &Sphere) -> Self {
-        /// How far off the sphere its wall may be, in radii.
-        const SHELL: f64 = 0.08;
-        let on = |t: u32| {
-            let corners = surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize]);
-            corners.iter().all(|p| ((p - centre).norm() / radius - 1.0).abs() < SHELL)
-        };
-        let mut triangles: Vec<u32> = surface.corners.star(tip).map(|h| h / 3).filter(|&t| on(t)).collect();
-        let mut seen: FxHashSet<u32> = triangles.iter().copied().collect();
-        let mut next = 0;
-        while let Some(&t) = triangles.get(next) {
-            next += 1;
-            for h in 3 * t..3 * t + 3 {
-                let beside = surface.corners.opposite(h) / 3;
-                if !seen.contains(&beside) && on(beside) {
-                    seen.insert(beside);
-                    triangles.push(beside);
-                }
-            }
-        }
-        triangles.sort_unstable();
-        Self { triangles }
-    }
-
-    fn points(&self, surface: &Surface) -> Vec<Point3<f64>> {
-        let mut all: Vec<u32> =
-            self.triangles.iter().flat_map(|&t| surface.mesh.triangles[t as usize]).collect();
-        all.sort_unstable();
-        all.dedup();
-        all.into_iter().map(|v| surface.mesh.vertices[v as usize]).collect()
-    }
-
-    /// Share of the solid angle around `centre` that it fills (van Oosterom and Strackee 1983).
-    fn share(&self, surface: &Surface, centre: &Point3<f64>) -> f64 {
-        let angle = |&t: &u32| {
-            let [a, b, c] =
-                surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize] - centre);
-            let (x, y, z) = (a.norm(), b.norm(), c.norm());
-            let below = x * y * z + a.dot(&b) * z + b.dot(&c) * x + c.dot(&a) * y;
-            2.0 * a.dot(&b.cross(&c)).atan2(below)
-        };
-        self.triangles.iter().map(angle).sum::<f64>() / (4.0 * PI)
-    }
-
-    /// Unit direction through its border, whose area vector closes that of the wall; zero where it has none.
-    fn neck(&self, surface: &Surface) -> Vector3<f64> {
-        /// Least area of the border against the wall's: what is less is rounding.
-        const LEAST: f64 = 1e-6;
-        let areas = self.triangles.iter().map(|&t| surface.mesh.area_vector(t));
-        let (sum, all) =
-            areas.fold((Vector3::zeros(), 0.0), |(sum, all), area| (sum + area, all + area.norm()));
-        (-sum).try_normalize(LEAST * all).unwrap_or_default()
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use std::f64::consts::FRAC_PI_2;
+    use std::f64::consts::{FRAC_PI_2, PI};
 
     use super::*;
     use crate::centerline::test_surfaces::{closed_surface, revolved};
@@ -223,7 +203,8 @@ mod tests {
     }
 
     fn sac_at_top(surface: &Surface, way: &[(Point3<f64>, f64)]) -> Option<Bulge> {
-        Dome::around(&TriangleGrid::new(surface), top(surface))?.as_sac(surface, way)
+        let grid = TriangleGrid::new(surface);
+        Dome::around(&grid, top(surface))?.as_sac(&grid, way)
     }
 
     /// A tube of radius `neck` along z up to z = 0, and a sphere of radius 1 on it.
@@ -247,11 +228,26 @@ mod tests {
         let rise = 0.75_f64.sqrt();
         assert!((bulge.centre - Point3::new(0.0, 0.0, rise)).norm() < 0.02, "{bulge:?}");
         assert!((bulge.radius - 1.0).abs() < 0.02, "{bulge:?}");
-        assert!((bulge.neck + Vector3::z()).norm() < 1e-3, "{bulge:?}");
+        let neck = bulge.neck.unwrap();
+        assert!(
+            (neck.direction + Vector3::z()).norm() < 1e-3 && (neck.stalk - 0.5).abs() < 0.03,
+            "{bulge:?}"
+        );
         // A stalk that bends, and a long one, have sections of their own.
         let bent = [Point3::new(0.4, 0.0, -0.5), Point3::new(0.0, 0.0, 0.0)].map(|place| (place, 0.5));
         assert_eq!(sac_at_top(&surface, &bent), None);
         assert_eq!(sac_at_top(&surface, &way(-2.5)), None);
+    }
+
+    /// The sphere through it has no bounds: all of a fine surface lay near it, once a round and end.
+    #[test]
+    fn a_flat_cap_has_no_dome() {
+        let tube = (0..=60).map(|i| (1.0, 0.1 * f64::from(i)));
+        let cap = (1..10).map(|i| (1.0 - 0.1 * f64::from(i), 6.0));
+        let profile: Vec<(f64, f64)> =
+            [(0.0, 0.0)].into_iter().chain(tube).chain(cap).chain([(0.0, 6.0)]).collect();
+        let surface = closed_surface(&revolved(&profile, 48));
+        assert!(Dome::around(&TriangleGrid::new(&surface), top(&surface)).is_none());
     }
 
     #[test]

@@ -3,6 +3,7 @@
 pub mod bulges;
 pub mod cross_sections;
 pub mod dome;
+pub mod dome_wall;
 pub mod march;
 pub mod normal_lines;
 pub mod ownership;

@@ -27,9 +27,8 @@ impl Approach {
     /// The line at the end of a track, from the stations that see their wall; `before` are those of the
     /// vessel that the track continues.
     pub fn of(track: &Track, before: &[Seen]) -> Option<Self> {
-        if let Some(Bulge { centre, radius, neck }) = track.bulge {
-            let line = Continuation::straight(centre, neck, radius);
-            return Some(Self { line, radius, bulge: true });
+        if let Some(bulge) = &track.bulge {
+            return Some(Self::of_bulge(bulge));
         }
         let last = track.stations.iter().rposition(seen_well)?;
         let station = &track.stations[last];
@@ -39,6 +38,12 @@ impl Approach {
         let straight = Continuation::straight(station.point, *station.tangent, radius);
         let line = Continuation::of(&points, radius, track.process).unwrap_or(straight);
         Some(Self { line, radius, bulge: false })
+    }
+
+    pub fn of_bulge(bulge: &Bulge) -> Self {
+        let direction = bulge.neck.map(|neck| neck.direction).unwrap_or_default();
+        let line = Continuation::straight(bulge.level, direction, bulge.radius);
+        Self { line, radius: bulge.radius, bulge: true }
     }
 
     /// A line of which no more is known than a place and a direction.

@@ -73,11 +73,11 @@ fn of_bulge(
     centre: &Point3<f64>,
 ) -> (Matrix3<f64>, Vector3<f64>) {
     /// How well its middle says where along a vessel it sits, in its radii.
-    const LEVEL: f64 = 0.02;
+    const LEVEL: f64 = 0.07;
     /// Cosine between its neck and the vessel at which that counts a third.
     const LEAN: f64 = 0.12;
     /// Deviation of its neck's direction (radians).
-    const AXIS: f64 = 0.05;
+    const AXIS: f64 = 0.035;
     let (middle, neck) = approach.line.at(0.0);
     let lean = neck.dot(through) / LEAN;
     let square = (-lean * lean).exp() / (LEVEL * approach.radius).powi(2);

@@ -18,7 +18,7 @@ use crate::centerline::recentering::approach::{Approach, run_up};
 use crate::centerline::recentering::ends::{EndPoint, far_wall};
 use crate::centerline::recentering::joints::{joint_centre, run_to_centre};
 use crate::centerline::segmentation::level_sets::LevelSet;
-use crate::centerline::segmentation::track::Track;
+use crate::centerline::segmentation::track::{Bulge, Track};
 use crate::centerline::triangle_grid::TriangleGrid;
 use crate::centerline::{Control, ExtractError, Stage};
 
@@ -26,11 +26,15 @@ use crate::centerline::{Control, ExtractError, Stage};
 const ROUNDS: usize = 4;
 /// How far around a joint level sets may tell of its wall, in their radii.
 const AROUND: f64 = 8.0;
+/// How far the mouth of a sac's stalk may lie from its joint, in the widest radius there.
+const ASTRAY: f64 = 3.0;
 
 /// Where branches meet, as their lines tell it, and the level sets around it.
 struct Meeting {
     centre: Anchor,
     rings: Vec<LevelSet>,
+    /// Sacs on stalks that bend: their necks' axes lead elsewhere.
+    bent: Vec<usize>,
 }
 
 /// Finds the joints' centres and leads the branches into them.
@@ -93,6 +97,10 @@ fn meet(
     };
     let found: Vec<Meeting> = joints.par_iter().map(one).collect::<Result<_, ExtractError>>()?;
     for (&node, meeting) in joints.iter().zip(&found) {
+        for &track in &meeting.bent {
+            let bulge = &mut network.tracks[track].bulge;
+            *bulge = bulge.map(Bulge::on_a_bent_stalk);
+        }
         network.nodes[node].anchor = Some(meeting.centre);
         aim_bulges(grid, network, &network.incident(node), &meeting.centre.point);
     }
@@ -103,17 +111,31 @@ fn meet(
 impl Meeting {
     fn of(surface: &Surface, network: &Network, node: usize) -> Self {
         let incident = network.incident(node);
+        let radius = network.joint_radius(&incident);
         let approach = |&(track, at_end): &(usize, bool)| {
             let before = run_up(network, track, at_end);
-            Approach::of(&network.toward(track, at_end), &before)
+            Some((track, Approach::of(&network.toward(track, at_end), &before)?))
         };
-        let approaches: Vec<Approach> = incident.iter().filter_map(approach).collect();
+        let (tracks, mut approaches): (Vec<usize>, Vec<Approach>) =
+            incident.iter().filter_map(approach).unzip();
         let on_wall = surface.mesh.vertices[network.nodes[node].vertex as usize];
-        let point = joint_centre(&approaches, &network.prior(&incident).unwrap_or(on_wall));
+        let prior = network.prior(&incident).unwrap_or(on_wall);
+        let mut point = joint_centre(&approaches, &prior);
+        let mut bent = Vec::new();
+        for (&track, approach) in tracks.iter().zip(&mut approaches) {
+            let bulge = network.tracks[track].bulge;
+            if let Some(bulge) = bulge.filter(|bulge| bulge.mouth_is_off(&point, ASTRAY * radius)) {
+                *approach = Approach::of_bulge(&bulge.on_a_bent_stalk());
+                bent.push(track);
+            }
+        }
+        if !bent.is_empty() {
+            point = joint_centre(&approaches, &prior);
+        }
         let near = |ring: &&LevelSet| (ring.centroid - point).norm() < AROUND * ring.radius();
         let all = incident.iter().flat_map(|&(track, _)| &network.tracks[track].rings);
         let rings = all.filter(near).cloned().collect();
-        Self { centre: Anchor { point, radius: network.joint_radius(&incident) }, rings }
+        Self { centre: Anchor { point, radius }, rings, bent }
     }
 }
 
@@ -146,7 +168,7 @@ fn lead_in(
 ) -> Result<(), ExtractError> {
     network.tracks.par_iter_mut().filter(|track| track.is_line()).try_for_each(|track| {
         for (node, at_end) in [(track.from, false), (track.to, true)] {
-            let Some(Meeting { centre, rings }) = meetings.get(&node) else { continue };
+            let Some(Meeting { centre, rings, .. }) = meetings.get(&node) else { continue };
             control.cancel.check()?;
             track.oriented(at_end, |track| run_to_centre(surface, owners, track, &centre.point, rings));
         }

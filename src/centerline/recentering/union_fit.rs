@@ -168,7 +168,7 @@ impl UnionFit<'_> {
             let (limb, foot, second) = nearest_two(feet)?;
             let radius = limbs[limb].radii[0];
             // Where two walls meet, sacs' too, the nearer is not surely the vertex's own.
-            let balls = self.balls.iter().map(|ball| (vertex - ball.centre).norm() - ball.radius);
+            let balls = self.balls.iter().map(|ball| self.outside_of(ball, vertex));
             let second = balls.fold(second, f64::min);
             let apart = ((second - foot.outside) / (CREASE * radius)).clamp(0.0, 1.0);
             let lever = ((foot.basis[2] + foot.basis[3]) / LEVER).min(1.0).powi(4);
@@ -177,6 +177,15 @@ impl UnionFit<'_> {
             (!self.starts[limb].hidden && trust > 0.0).then_some(Share { vertex: *vertex, limb, t, trust })
         };
         self.wall.iter().filter_map(share).collect()
+    }
+
+    /// How far a point is outside of a sac and of the straight stalk from where the joint was.
+    fn outside_of(&self, sac: &Bulge, point: &Point3<f64>) -> f64 {
+        let (stalk, arm) = (self.origin - sac.centre, point - sac.centre);
+        let outside = arm.norm() - sac.radius;
+        let Some(neck) = sac.neck.filter(|neck| neck.stalk > 0.0) else { return outside };
+        let share = arm.dot(&stalk) / stalk.norm_squared().max(f64::MIN_POSITIVE);
+        outside.min((arm - stalk * share.clamp(0.0, 1.0)).norm() - neck.stalk)
     }
 
     /// The distances of the wall's vertices from their limbs.

@@ -74,8 +74,39 @@ impl Station {
 pub struct Bulge {
     pub centre: Point3<f64>,
     pub radius: f64,
-    /// Unit direction from its centre through its neck; zero where its wall shows none.
-    pub neck: Vector3<f64>,
+    /// Where its wall shows one that leads to its joint.
+    pub neck: Option<Neck>,
+    /// What says where along a vessel it sits: its middle, or the mouth of a stalk that bends.
+    pub level: Point3<f64>,
+}
+
+/// The neck of a sac.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Neck {
+    /// Unit direction from the sac's middle.
+    pub direction: Vector3<f64>,
+    /// Radius of it and of the straight stalk that leads on from it to the joint; zero where there is none.
+    pub stalk: f64,
+    /// Where the level sets of the sac begin, if that is not in it.
+    pub mouth: Option<Point3<f64>>,
+}
+
+impl Bulge {
+    /// A ball that shows no neck.
+    pub fn ball(centre: Point3<f64>, radius: f64) -> Self {
+        Self { centre, radius, neck: None, level: centre }
+    }
+
+    /// Whether the mouth of its stalk lies farther than `far` from a joint.
+    pub fn mouth_is_off(&self, joint: &Point3<f64>, far: f64) -> bool {
+        self.neck.and_then(|neck| neck.mouth).is_some_and(|mouth| (mouth - joint).norm() > far)
+    }
+
+    /// The same without the axis through its neck: it sits where its stalk's mouth is.
+    pub fn on_a_bent_stalk(self) -> Self {
+        let mouth = self.neck.and_then(|neck| neck.mouth);
+        Self { neck: None, level: mouth.unwrap_or(self.level), ..self }
+    }
 }
 
 /// One branch: stations in order from `from` to `to`.
