@@ -27,7 +27,7 @@ pub struct Dome {
 
 impl Dome {
     /// The sphere through the wall around a tip; `None` where that is no sphere's. O(rounds x triangles of the dome + vertices
-    /// within its radius).
+    /// and triangles around it).
     pub fn around(grid: &TriangleGrid<'_>, tip: u32) -> Option<Self> {
         let star: Vec<u32> = grid.surface().corners.star(tip).map(|h| h / 3).collect();
         Self::fitted(grid.surface(), &star, touching(grid, tip)?)
@@ -36,16 +36,12 @@ impl Dome {
     /// The sphere through the wall at the widest of a leaf's level sets, as of a sac whose tip is on a bleb; `None` where
     /// that is no sphere's, and where the tip is not on it or on what closes its holes. O(as [`Dome::around`]).
     pub fn under(grid: &TriangleGrid<'_>, rings: &[LevelSet], tip: u32) -> Option<Self> {
-        /// Farthest that a tip is from its middle, in radii.
-        const BLEB: f64 = 1.6;
         let surface = grid.surface();
         let widest = rings.iter().max_by(|a, b| a.length.total_cmp(&b.length))?;
         let first = (widest.centroid, grid.clearance(&widest.centroid));
         let dome = Self::fitted(surface, &widest.triangles, first)?;
-        let (centre, radius) = dome.sphere;
-        let is_near = (surface.mesh.vertices[tip as usize] - centre).norm() < BLEB * radius;
         let mut star = surface.corners.star(tip).map(|h| h / 3);
-        (is_near && star.all(|t| dome.wall.holds(t) || dome.border.closes(t))).then_some(dome)
+        star.all(|t| dome.wall.holds(t) || dome.border.closes(t)).then_some(dome)
     }
 
     /// Fits a sphere to what lies on it in one piece around some triangles.
@@ -65,10 +61,12 @@ impl Dome {
                 break;
             }
         }
-        let is_round = deviation(&wall.points(surface), &sphere) <= DEVIATION;
-        let border = Border::of(&wall, surface);
+        if deviation(&wall.points(surface), &sphere) > DEVIATION {
+            return None;
+        }
+        let border = Border::of(&wall, surface, &sphere);
         let share = wall.share(surface, &border, &sphere.0);
-        is_round.then_some(Self { sphere, share, wall, border })
+        Some(Self { sphere, share, wall, border })
     }
 
     /// The sac that the dome is; `None` where it is too little of a sphere, or where a vessel of its own leads to it, long or
@@ -132,13 +130,10 @@ impl Dome {
         if self.share < SHARE {
             return None;
         }
-        let (centre, radius) = self.sphere;
-        let arm = joint - centre;
-        let direction = self.border.neck(&arm, self.holds(joint))?;
+        let arm = joint - self.sphere.0;
+        let (direction, opening) = self.border.neck(&arm, self.holds(joint))?;
         let leads = self.holds(joint) || direction.dot(&arm) >= TOWARD * arm.norm();
-        // As of a spherical cap of that share.
-        let cosine = (2.0 * self.share - 1.0).min(1.0);
-        let stalk = radius * (1.0 - cosine * cosine).sqrt();
+        let stalk = opening.min(self.sphere.1);
         leads.then_some(Neck { direction, stalk, mouth: (!self.holds(joint)).then_some(*joint) })
     }
 
@@ -239,15 +234,53 @@ mod tests {
         assert_eq!(sac_at_top(&surface, &way(-2.5)), None);
     }
 
-    /// The sphere through it has no bounds: all of a fine surface lay near it, once a round and end.
+    /// The sphere through a cap that is all but flat has no bounds: all of a fine surface lay near it.
     #[test]
     fn a_flat_cap_has_no_dome() {
         let tube = (0..=60).map(|i| (1.0, 0.1 * f64::from(i)));
-        let cap = (1..10).map(|i| (1.0 - 0.1 * f64::from(i), 6.0));
+        let bowed = |rho: f64| 6.0 + 1e-3 * (1.0 - rho * rho);
+        let cap = (1..20).map(|i| 1.0 - 0.05 * f64::from(i)).map(|rho| (rho, bowed(rho)));
         let profile: Vec<(f64, f64)> =
-            [(0.0, 0.0)].into_iter().chain(tube).chain(cap).chain([(0.0, 6.0)]).collect();
+            [(0.0, 0.0)].into_iter().chain(tube).chain(cap).chain([(0.0, bowed(0.0))]).collect();
         let surface = closed_surface(&revolved(&profile, 48));
-        assert!(Dome::around(&TriangleGrid::new(&surface), top(&surface)).is_none());
+        let grid = TriangleGrid::new(&surface);
+        let first = touching(&grid, top(&surface)).unwrap();
+        assert!(first.1 < 1.2, "{first:?}");
+        let on = DomeWall::around(&surface, &[surface.corners.outgoing(top(&surface)) / 3], &first);
+        let through = sphere_through(&on.points(&surface), |_| 1.0).unwrap();
+        assert!(through.1 > 100.0, "{through:?}");
+        assert!(Dome::around(&grid, top(&surface)).is_none());
+    }
+
+    /// A ball of radius 1 on two legs along z, the upper one short and closed.
+    #[test]
+    fn a_short_leg_is_an_opening_and_a_bleb_is_none() {
+        for (leg, openings) in [(3.0, 2), (1.3, 1)] {
+            let at = |angle: f64| (angle.sin(), angle.cos());
+            let from = 0.4_f64.asin();
+            let ball = (0..=40).map(|i| at(PI - from - (PI - 2.0 * from) * f64::from(i) / 40.0));
+            let lower = (0..30).map(|i| (0.4, -4.0 + 0.1 * f64::from(i)));
+            let rise = at(from).1;
+            let upper = (1..=20).map(|i| (0.4, rise + (leg - rise) * f64::from(i) / 20.0));
+            let profile: Vec<(f64, f64)> =
+                [(0.0, -4.0)].into_iter().chain(lower).chain(ball).chain(upper).chain([(0.0, leg)]).collect();
+            let surface = closed_surface(&revolved(&profile, 48));
+            let side = (0..surface.mesh.vertices.len() as u32)
+                .max_by(|&a, &b| {
+                    let x = |v: u32| surface.mesh.vertices[v as usize].x;
+                    x(a).total_cmp(&x(b))
+                })
+                .unwrap();
+            let dome = Dome::around(&TriangleGrid::new(&surface), side).unwrap();
+            let joint = Point3::new(0.0, 0.0, -2.0);
+            let neck = dome.neck_toward(&joint).unwrap();
+            assert!(
+                (neck.direction + Vector3::z()).norm() < 0.01 && (neck.stalk - 0.4).abs() < 0.05,
+                "{neck:?}"
+            );
+            let within = dome.neck_toward(&Point3::origin());
+            assert_eq!(within.is_some(), openings == 1, "{leg}");
+        }
     }
 
     #[test]

@@ -7,6 +7,9 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::mesh::preparation::Surface;
 
+/// How far from its middle what is on a dome may reach, in radii: a bleb of half its radius, and no vessel.
+pub const REACH: f64 = 1.6;
+
 /// The wall near a sphere, in one piece around a tip.
 pub struct DomeWall {
     triangles: Vec<u32>,
@@ -14,9 +17,9 @@ pub struct DomeWall {
 
 /// What lies past the border of a wall.
 pub struct Border {
-    /// Triangles that close its holes: of blebs, of a cap, of noise.
+    /// Triangles that close its holes: of blebs and of noise.
     patches: Vec<u32>,
-    /// Area vectors of its openings, out of the dome: one for each piece of the surface that goes on.
+    /// Twice the area vectors of its openings, out of the dome: one for each piece of the surface that goes on.
     openings: Vec<Vector3<f64>>,
 }
 
@@ -29,12 +32,14 @@ impl DomeWall {
             let corners = surface.mesh.triangles[t as usize].map(|v| surface.mesh.vertices[v as usize]);
             corners.iter().all(|p| ((p - centre).norm() / radius - 1.0).abs() < SHELL)
         };
-        let mut seen: FxHashSet<u32> = seeds.iter().copied().filter(|&t| on(t)).collect();
-        let mut triangles: Vec<u32> = seen.iter().copied().collect();
+        let mut triangles: Vec<u32> = seeds.iter().copied().filter(|&t| on(t)).collect();
+        triangles.sort_unstable();
+        triangles.dedup();
+        let mut seen: FxHashSet<u32> = triangles.iter().copied().collect();
         let mut next = 0;
         while let Some(&t) = triangles.get(next) {
             next += 1;
-            for beside in around(surface, t) {
+            for beside in beside(surface, t) {
                 if !seen.contains(&beside) && on(beside) {
                     seen.insert(beside);
                     triangles.push(beside);
@@ -47,6 +52,12 @@ impl DomeWall {
 
     pub fn holds(&self, triangle: u32) -> bool {
         self.triangles.binary_search(&triangle).is_ok()
+    }
+
+    /// Its half-edges along its border.
+    fn edges(&self, surface: &Surface) -> Vec<u32> {
+        let all = self.triangles.iter().flat_map(|&t| 3 * t..3 * t + 3);
+        all.filter(|&h| !self.holds(surface.corners.opposite(h) / 3)).collect()
     }
 
     pub fn is_same(&self, other: &Self) -> bool {
@@ -76,47 +87,44 @@ impl DomeWall {
 }
 
 impl Border {
-    /// O(triangles of the wall x pieces past it).
-    pub fn of(wall: &DomeWall, surface: &Surface) -> Self {
-        let inside: FxHashSet<u32> = wall.triangles.iter().copied().collect();
-        let area = |&t: &u32| surface.mesh.area_vector(t).norm();
-        let limit = wall.triangles.iter().map(area).sum();
-        let half_edges = wall.triangles.iter().flat_map(|&t| 3 * t..3 * t + 3);
-        let edges: Vec<u32> =
-            half_edges.filter(|&h| !inside.contains(&(surface.corners.opposite(h) / 3))).collect();
-        let mut beyond =
-            Beyond { surface, wall: inside, limit, pieces: Vec::new(), piece_of: FxHashMap::default() };
-        edges.iter().for_each(|&h| beyond.flood(surface.corners.opposite(h) / 3));
-        let mut openings = vec![Vector3::zeros(); beyond.pieces.len()];
-        if let Some(&first) = edges.first() {
-            let place = |v: u32| surface.mesh.vertices[v as usize];
-            let origin = place(surface.corners.origin(first));
-            for &h in &edges {
-                let [from, to] =
-                    [surface.corners.origin(h), surface.corners.target(h)].map(|v| place(v) - origin);
-                // The wall's own half-edges run the other way around what closes it.
-                openings[beyond.past(h)] -= from.cross(&to);
+    /// A piece past the wall goes on where it leaves the dome's surroundings or ends in an opening; if none does, as on a
+    /// small vessel, the largest is its rest. O(triangles within [`REACH`]).
+    pub fn of(wall: &DomeWall, surface: &Surface, sphere: &(Point3<f64>, f64)) -> Self {
+        let edges = wall.edges(surface);
+        let outside = |h: u32| surface.corners.opposite(h) / 3;
+        let mut beyond = Beyond { surface, wall, sphere, pieces: Vec::new(), piece_of: FxHashMap::default() };
+        edges.iter().for_each(|&h| beyond.flood(outside(h)));
+        let pieces = &beyond.pieces;
+        let none = pieces.iter().all(|piece| !piece.goes_on);
+        let largest = (0..pieces.len()).max_by(|&a, &b| pieces[a].area.total_cmp(&pieces[b].area));
+        let mut holes = vec![Vector3::zeros(); pieces.len()];
+        let place = |v: u32| surface.mesh.vertices[v as usize] - sphere.0;
+        for &h in &edges {
+            // The wall's own half-edges run the other way around what closes it. Each was flooded from.
+            holes[beyond.piece_of[&outside(h)]] -=
+                place(surface.corners.origin(h)).cross(&place(surface.corners.target(h)));
+        }
+        let mut border = Self { patches: Vec::new(), openings: Vec::new() };
+        for (number, (piece, hole)) in pieces.iter().zip(holes).enumerate() {
+            if piece.goes_on || (none && Some(number) == largest) {
+                border.openings.push(hole);
+            } else {
+                border.patches.extend(&piece.triangles);
             }
         }
-        let (mut patches, mut open) = (Vec::new(), Vec::new());
-        for (number, (piece, opening)) in beyond.pieces.iter().zip(openings).enumerate() {
-            if beyond.goes_on(number) {
-                open.push(opening);
-            } else if piece.part_of.is_none() {
-                patches.extend(&piece.triangles);
-            }
-        }
-        Self { patches, openings: open }
+        border.patches.sort_unstable();
+        border
     }
 
     /// Whether a triangle is one of those that close a hole.
     pub fn closes(&self, triangle: u32) -> bool {
-        self.patches.contains(&triangle)
+        self.patches.binary_search(&triangle).is_ok()
     }
 
-    /// Unit direction through the neck: the opening that faces the `joint` most, which lies there from the sphere's middle;
-    /// `None` where there is none, and where a joint `within` the sphere does not tell which of several it is.
-    pub fn neck(&self, joint: &Vector3<f64>, within: bool) -> Option<Vector3<f64>> {
+    /// Unit direction through the neck and its radius: the opening that faces the `joint` most, which lies there from the
+    /// sphere's middle; `None` where there is none, and where a joint `within` the sphere does not tell which of several it
+    /// is.
+    pub fn neck(&self, joint: &Vector3<f64>, within: bool) -> Option<(Vector3<f64>, f64)> {
         /// Least area of an opening against the largest.
         const LEAST: f64 = 0.2;
         let largest = self.openings.iter().map(Vector3::norm).fold(0.0, f64::max);
@@ -124,37 +132,36 @@ impl Border {
         if within && wide().count() > 1 {
             return None;
         }
-        let directions = wide().filter_map(|opening| opening.try_normalize(0.0));
-        directions.max_by(|a, b| a.dot(joint).total_cmp(&b.dot(joint)))
+        let necks = wide()
+            .filter_map(|opening| Some((opening.try_normalize(0.0)?, (0.5 * opening.norm() / PI).sqrt())));
+        necks.max_by(|a, b| a.0.dot(joint).total_cmp(&b.0.dot(joint)))
     }
 }
 
 /// The three triangles beside one.
-fn around(surface: &Surface, t: u32) -> [u32; 3] {
+fn beside(surface: &Surface, t: u32) -> [u32; 3] {
     [3 * t, 3 * t + 1, 3 * t + 2].map(|h| surface.corners.opposite(h) / 3)
 }
 
 /// The surface past the border of a wall, in pieces.
 struct Beyond<'a> {
     surface: &'a Surface,
-    /// Area of the wall: a piece that is larger goes on.
-    limit: f64,
-    /// The wall, and the piece that each triangle past it is of.
-    wall: FxHashSet<u32>,
-    piece_of: FxHashMap<u32, usize>,
+    wall: &'a DomeWall,
+    sphere: &'a (Point3<f64>, f64),
     pieces: Vec<Piece>,
+    /// The piece that each triangle past the wall is of.
+    piece_of: FxHashMap<u32, usize>,
 }
 
 #[derive(Debug, Clone, Default)]
 struct Piece {
     triangles: Vec<u32>,
     area: f64,
-    /// The piece that it turned out to be a part of.
-    part_of: Option<usize>,
+    goes_on: bool,
 }
 
 impl Beyond<'_> {
-    /// Floods the piece of a triangle until it ends, goes on too far or comes to another.
+    /// Floods the piece of a triangle as far as it lies around the dome.
     fn flood(&mut self, first: u32) {
         if self.piece_of.contains_key(&first) {
             return;
@@ -163,42 +170,27 @@ impl Beyond<'_> {
         let mut piece = Piece { triangles: vec![first], ..Piece::default() };
         self.piece_of.insert(first, number);
         let mut next = 0;
-        while let Some(&t) = piece.triangles.get(next).filter(|_| piece.area <= self.limit) {
+        while let Some(&t) = piece.triangles.get(next) {
             next += 1;
             piece.area += self.surface.mesh.area_vector(t).norm();
-            for beside in around(self.surface, t) {
-                match self.piece_of.get(&beside) {
-                    Some(&other) if other != number => piece.part_of = Some(other),
-                    None if !self.wall.contains(&beside) => {
-                        self.piece_of.insert(beside, number);
-                        piece.triangles.push(beside);
-                    }
-                    _ => {}
-                }
+            if self.is_far(t) || self.surface.is_cap(t) {
+                piece.goes_on = true;
+                continue;
             }
-            if piece.part_of.is_some() {
-                break;
+            for beside in beside(self.surface, t) {
+                if !self.wall.holds(beside) && !self.piece_of.contains_key(&beside) {
+                    self.piece_of.insert(beside, number);
+                    piece.triangles.push(beside);
+                }
             }
         }
         self.pieces.push(piece);
     }
 
-    /// Number of the whole piece past a half-edge of the wall.
-    fn past(&self, h: u32) -> usize {
-        let mut number = self.piece_of[&(self.surface.corners.opposite(h) / 3)];
-        while let Some(whole) = self.pieces[number].part_of {
-            number = whole;
-        }
-        number
-    }
-
-    /// Whether a piece goes on past its dome: one that is larger than the wall, and the largest of all, as the rest of a
-    /// small vessel may be.
-    fn goes_on(&self, number: usize) -> bool {
-        let is_whole = |piece: &Piece| piece.part_of.is_none();
-        let largest =
-            self.pieces.iter().filter(|piece| is_whole(piece)).map(|piece| piece.area).fold(0.0, f64::max);
-        let piece = &self.pieces[number];
-        is_whole(piece) && (piece.area > self.limit || piece.area == largest)
+    /// Whether a triangle lies farther from the dome than a bleb.
+    fn is_far(&self, t: u32) -> bool {
+        let (centre, radius) = self.sphere;
+        let corners = self.surface.mesh.triangles[t as usize].map(|v| self.surface.mesh.vertices[v as usize]);
+        corners.iter().any(|corner| (corner - centre).norm() > REACH * radius)
     }
 }

@@ -40,6 +40,7 @@ impl Approach {
         Some(Self { line, radius, bulge: false })
     }
 
+    /// The axis through the neck of a sac; a place alone where it shows none.
     pub fn of_bulge(bulge: &Bulge) -> Self {
         let direction = bulge.neck.map(|neck| neck.direction).unwrap_or_default();
         let line = Continuation::straight(bulge.level, direction, bulge.radius);

@@ -122,14 +122,18 @@ impl Meeting {
         let prior = network.prior(&incident).unwrap_or(on_wall);
         let mut point = joint_centre(&approaches, &prior);
         let mut bent = Vec::new();
-        for (&track, approach) in tracks.iter().zip(&mut approaches) {
-            let bulge = network.tracks[track].bulge;
-            if let Some(bulge) = bulge.filter(|bulge| bulge.mouth_is_off(&point, ASTRAY * radius)) {
-                *approach = Approach::of_bulge(&bulge.on_a_bent_stalk());
-                bent.push(track);
-            }
-        }
-        if !bent.is_empty() {
+        // One that leads astray may have drawn the others' joint away: the farthest goes first.
+        let off = |slot: &usize, point: &Point3<f64>| {
+            let mouth = network.tracks[tracks[*slot]].bulge?.neck?.mouth?;
+            Some((mouth - point).norm()).filter(|away| radius > 0.0 && *away > ASTRAY * radius)
+        };
+        loop {
+            let left = (0..tracks.len()).filter(|slot| !bent.contains(&tracks[*slot]));
+            let strays = left.filter_map(|slot| Some((slot, off(&slot, &point)?)));
+            let Some((slot, _)) = strays.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
+            let bulge = network.tracks[tracks[slot]].bulge.map(Bulge::on_a_bent_stalk);
+            approaches[slot] = bulge.as_ref().map_or(approaches[slot], Approach::of_bulge);
+            bent.push(tracks[slot]);
             point = joint_centre(&approaches, &prior);
         }
         let near = |ring: &&LevelSet| (ring.centroid - point).norm() < AROUND * ring.radius();

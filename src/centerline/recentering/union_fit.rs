@@ -55,7 +55,7 @@ impl Start {
 /// radius at the centre.
 pub struct UnionFit<'a> {
     pub starts: &'a [Start],
-    /// Sacs: their wall is not the branches'.
+    /// Sacs: their wall and their stalks' are not the branches'.
     pub balls: &'a [Bulge],
     /// Vertices of the wall around the joint.
     pub wall: &'a [Point3<f64>],

@@ -83,7 +83,7 @@ pub struct Bulge {
 /// The neck of a sac.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Neck {
-    /// Unit direction from the sac's middle.
+    /// Unit direction out of its dome.
     pub direction: Vector3<f64>,
     /// Radius of it and of the straight stalk that leads on from it to the joint; zero where there is none.
     pub stalk: f64,
@@ -95,11 +95,6 @@ impl Bulge {
     /// A ball that shows no neck.
     pub fn ball(centre: Point3<f64>, radius: f64) -> Self {
         Self { centre, radius, neck: None, level: centre }
-    }
-
-    /// Whether the mouth of its stalk lies farther than `far` from a joint.
-    pub fn mouth_is_off(&self, joint: &Point3<f64>, far: f64) -> bool {
-        self.neck.and_then(|neck| neck.mouth).is_some_and(|mouth| (mouth - joint).norm() > far)
     }
 
     /// The same without the axis through its neck: it sits where its stalk's mouth is.
