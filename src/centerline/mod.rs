@@ -23,6 +23,7 @@ mod preset_default;
 mod preset_paper;
 mod quality;
 mod recentering;
+mod segment;
 mod segmentation;
 #[cfg(test)]
 mod shapes;

@@ -18,16 +18,15 @@ struct Case {
 
 impl Case {
     fn mesh(&self) -> TriangleMesh {
-        let (middle, radius) = self.sac;
+        let middle = self.sac.0;
         let field = |point: &Point3<f64>| {
             let leg = |(tip, radius): &(Vector3<f64>, f64)| {
                 from_segment(point, Point3::origin(), Point3::from(*tip)) - radius
             };
-            let sac = (point.coords - middle).norm() - radius;
+            let ball = |(middle, radius): &(Vector3<f64>, f64)| (point.coords - middle).norm() - radius;
             let neck = from_segment(point, Point3::origin(), Point3::from(middle)) - self.neck;
-            let bleb = |(middle, radius): &(Vector3<f64>, f64)| (point.coords - middle).norm() - radius;
-            let balls = self.blebs.iter().map(bleb).fold(sac, f64::min);
-            self.legs.iter().map(leg).fold(balls.min(neck), f64::min)
+            let balls = self.blebs.iter().chain([&self.sac]).map(ball);
+            self.legs.iter().map(leg).chain(balls).fold(neck, f64::min)
         };
         let reach = |side: f64| {
             let tips = self

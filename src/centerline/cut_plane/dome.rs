@@ -131,10 +131,11 @@ impl Dome {
             return None;
         }
         let arm = joint - self.sphere.0;
-        let (direction, opening) = self.border.neck(&arm, self.holds(joint))?;
-        let leads = self.holds(joint) || direction.dot(&arm) >= TOWARD * arm.norm();
+        let is_within = self.holds(joint);
+        let (direction, opening) = self.border.neck(&arm, is_within)?;
+        let leads = is_within || direction.dot(&arm) >= TOWARD * arm.norm();
         let stalk = opening.min(self.sphere.1);
-        leads.then_some(Neck { direction, stalk, mouth: (!self.holds(joint)).then_some(*joint) })
+        leads.then_some(Neck { direction, stalk, mouth: (!is_within).then_some(*joint) })
     }
 
     fn holds(&self, place: &Point3<f64>) -> bool {

@@ -8,7 +8,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use crate::mesh::preparation::Surface;
 
 /// How far from its middle what is on a dome may reach, in radii: a bleb of half its radius, and no vessel.
-pub const REACH: f64 = 1.6;
+const REACH: f64 = 1.6;
 
 /// The wall near a sphere, in one piece around a tip.
 pub struct DomeWall {

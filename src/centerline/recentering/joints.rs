@@ -251,8 +251,9 @@ mod tests {
         let centre = |neck: Vector3<f64>| {
             joint_centre(&[vessel(1.0), vessel(-1.0), sac(neck)], &Point3::new(0.5, 0.0, 0.0))
         };
-        for neck in [-Vector3::z(), Vector3::zeros(), Vector3::new(0.02, 0.0, -1.0).normalize()] {
-            assert!(centre(neck).coords.norm() < 0.04, "{neck:?} {}", centre(neck));
+        let hardly = Vector3::new(0.02, 0.0, -1.0).normalize();
+        for (neck, most) in [(-Vector3::z(), 0.03), (Vector3::zeros(), 0.03), (hardly, 0.04)] {
+            assert!(centre(neck).coords.norm() < most, "{neck:?} {}", centre(neck));
         }
         // To where its axis meets the vessel's.
         let leaning = centre(Vector3::new(1.0, 0.0, -1.5).normalize());

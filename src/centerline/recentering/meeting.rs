@@ -33,8 +33,8 @@ const ASTRAY: f64 = 3.0;
 struct Meeting {
     centre: Anchor,
     rings: Vec<LevelSet>,
-    /// Sacs on stalks that bend: their necks' axes lead elsewhere.
-    bent: Vec<usize>,
+    /// Sacs on stalks that bend, as they are without their necks' axes, which lead elsewhere.
+    bent: Vec<(usize, Bulge)>,
 }
 
 /// Finds the joints' centres and leads the branches into them.
@@ -97,9 +97,8 @@ fn meet(
     };
     let found: Vec<Meeting> = joints.par_iter().map(one).collect::<Result<_, ExtractError>>()?;
     for (&node, meeting) in joints.iter().zip(&found) {
-        for &track in &meeting.bent {
-            let bulge = &mut network.tracks[track].bulge;
-            *bulge = bulge.map(Bulge::on_a_bent_stalk);
+        for &(track, bulge) in &meeting.bent {
+            network.tracks[track].bulge = Some(bulge);
         }
         network.nodes[node].anchor = Some(meeting.centre);
         aim_bulges(grid, network, &network.incident(node), &meeting.centre.point);
@@ -116,31 +115,47 @@ impl Meeting {
             let before = run_up(network, track, at_end);
             Some((track, Approach::of(&network.toward(track, at_end), &before)?))
         };
-        let (tracks, mut approaches): (Vec<usize>, Vec<Approach>) =
-            incident.iter().filter_map(approach).unzip();
+        let mut approaches: Vec<(usize, Approach)> = incident.iter().filter_map(approach).collect();
         let on_wall = surface.mesh.vertices[network.nodes[node].vertex as usize];
         let prior = network.prior(&incident).unwrap_or(on_wall);
-        let mut point = joint_centre(&approaches, &prior);
-        let mut bent = Vec::new();
-        // One that leads astray may have drawn the others' joint away: the farthest goes first.
-        let off = |slot: &usize, point: &Point3<f64>| {
-            let mouth = network.tracks[tracks[*slot]].bulge?.neck?.mouth?;
-            Some((mouth - point).norm()).filter(|away| radius > 0.0 && *away > ASTRAY * radius)
-        };
-        loop {
-            let left = (0..tracks.len()).filter(|slot| !bent.contains(&tracks[*slot]));
-            let strays = left.filter_map(|slot| Some((slot, off(&slot, &point)?)));
-            let Some((slot, _)) = strays.max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
-            let bulge = network.tracks[tracks[slot]].bulge.map(Bulge::on_a_bent_stalk);
-            approaches[slot] = bulge.as_ref().map_or(approaches[slot], Approach::of_bulge);
-            bent.push(tracks[slot]);
-            point = joint_centre(&approaches, &prior);
-        }
+        let (point, bent) = centre_and_strays(network, &mut approaches, &prior, radius);
         let near = |ring: &&LevelSet| (ring.centroid - point).norm() < AROUND * ring.radius();
         let all = incident.iter().flat_map(|&(track, _)| &network.tracks[track].rings);
         let rings = all.filter(near).cloned().collect();
         Self { centre: Anchor { point, radius }, rings, bent }
     }
+}
+
+/// The centre of a joint of such a radius, and the sacs whose necks lead far from it, which say nothing of it then. One
+/// that leads astray may have drawn the others' joint away: the farthest goes first.
+fn centre_and_strays(
+    network: &Network,
+    approaches: &mut [(usize, Approach)],
+    prior: &Point3<f64>,
+    radius: f64,
+) -> (Point3<f64>, Vec<(usize, Bulge)>) {
+    let centre = |approaches: &[(usize, Approach)]| {
+        let lines: Vec<Approach> = approaches.iter().map(|(_, approach)| *approach).collect();
+        joint_centre(&lines, prior)
+    };
+    let with_mouth = |(slot, &(track, _)): (usize, &(usize, Approach))| {
+        let bulge = network.tracks[track].bulge?;
+        Some((slot, bulge, bulge.neck?.mouth?))
+    };
+    let mut sacs: Vec<_> = approaches.iter().enumerate().filter_map(with_mouth).collect();
+    let mut strays = Vec::new();
+    let mut point = centre(approaches);
+    loop {
+        let off = |i: &usize| (sacs[*i].2 - point).norm();
+        let farthest = (0..sacs.len()).max_by(|a, b| off(a).total_cmp(&off(b)));
+        let Some(stray) = farthest.filter(|i| radius > 0.0 && off(i) > ASTRAY * radius) else { break };
+        let (slot, bulge, _) = sacs.remove(stray);
+        let bulge = bulge.on_a_bent_stalk();
+        approaches[slot].1 = Approach::of_bulge(&bulge);
+        strays.push((approaches[slot].0, bulge));
+        point = centre(approaches);
+    }
+    (point, strays)
 }
 
 /// Draws the lines of the bulges at a joint straight from its centre through their middles.

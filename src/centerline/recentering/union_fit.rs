@@ -8,6 +8,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3};
 
 use crate::centerline::laplacian_smoothing::continuation::Continuation;
 use crate::centerline::recentering::limb::{Foot, Limb, LimbWall};
+use crate::centerline::segment::from_segment;
 use crate::centerline::segmentation::track::Bulge;
 
 /// Deviation of the wall from the union that is nothing unusual, and beyond which it is not this joint's, in radii.
@@ -181,11 +182,9 @@ impl UnionFit<'_> {
 
     /// How far a point is outside of a sac and of the straight stalk from where the joint was.
     fn outside_of(&self, sac: &Bulge, point: &Point3<f64>) -> f64 {
-        let (stalk, arm) = (self.origin - sac.centre, point - sac.centre);
-        let outside = arm.norm() - sac.radius;
+        let outside = (point - sac.centre).norm() - sac.radius;
         let Some(neck) = sac.neck.filter(|neck| neck.stalk > 0.0) else { return outside };
-        let share = arm.dot(&stalk) / stalk.norm_squared().max(f64::MIN_POSITIVE);
-        outside.min((arm - stalk * share.clamp(0.0, 1.0)).norm() - neck.stalk)
+        outside.min(from_segment(point, &sac.centre, &self.origin) - neck.stalk)
     }
 
     /// The distances of the wall's vertices from their limbs.

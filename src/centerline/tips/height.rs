@@ -6,6 +6,7 @@ use nalgebra::Point3;
 
 use crate::mesh::preparation::Opening;
 
+use crate::centerline::segment::from_segment;
 use crate::centerline::segmentation::level_sets::{LevelSet, level_set};
 
 use super::geodesic::RISE;
@@ -291,11 +292,4 @@ impl Pruning<'_> {
         let mut centres = std::iter::once(self.position(tip)).chain(rings.map(|ring| ring.centroid));
         centres.any(|centre| (centre - base.centroid).norm() >= least)
     }
-}
-
-/// Distance of a point from a segment.
-fn from_segment(point: &Point3<f64>, a: &Point3<f64>, b: &Point3<f64>) -> f64 {
-    let along = b - a;
-    let share = (point - a).dot(&along) / along.norm_squared().max(f64::MIN_POSITIVE);
-    (point - (a + along * share.clamp(0.0, 1.0))).norm()
 }
